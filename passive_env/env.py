@@ -1,0 +1,123 @@
+"""The single environment: a batch of one."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+
+from passive_env.belief import Belief
+from passive_env.catalogue import make_scenario
+from passive_env.core import Simulation, World
+from passive_env.observations import Field
+from passive_env.scenario import Scenario
+
+
+class PassiveEnv(gym.Env[np.ndarray, Any]):
+    """One episode of a passive-tracking scenario.
+
+    Observation: ``Box(-5, 5, (d,), float32)``, a function of the belief only; `observation_fields` names every number.
+    Action: ``Box(-1, 1, (a,), float32)``, one turn rate per platform as a share of its limit, counter-clockwise +
+        (``actions="discrete"``: `MultiDiscrete`, three rates per platform).
+    Reward: weighted terms (`passive_env.rewards`); ``info["reward_terms"]`` shows each. Default: −log(range error /
+        1 km), mean over targets.
+    Episode end: truncated after ``steps`` decisions; never terminated.
+    info: ``range_error_m, position_error_m, range_m, range_crlb_m, nees, lost``, each [targets]; ``reward_terms``.
+
+    Args:
+        scenario: catalogue name or a `Scenario`.
+        render_mode: None, "rgb_array" or "human".
+        **fields: scenario fields to override.
+    Version history: v0, first release.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 8}
+
+    def __init__(self, scenario: str | Scenario = "TwoStation", render_mode: str | None = None, **fields: Any):
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode = {render_mode!r}: must be None, 'rgb_array' or 'human'")
+        self.scenario = make_scenario(scenario, fields)
+        self.render_mode = render_mode
+        self.simulation = Simulation(self.scenario)
+        self.observation_space = self.simulation.observation.space
+        self.action_space = self.simulation.actions.space
+        self._world: World | None = None
+        self._viewer: Any = None
+
+    @property
+    def observation_fields(self) -> tuple[Field, ...]:
+        """Name, unit and scale of every number of the observation."""
+        return self.simulation.observation.fields
+
+    @property
+    def world(self) -> World:
+        """The true world, a batch of one; for evaluation and pictures, never for policies."""
+        if self._world is None:
+            raise gym.error.ResetNeeded("call reset() before step(), render() or belief()")
+        return self._world
+
+    def belief(self) -> Belief:
+        """What an operator knows now, a batch of one."""
+        return self.simulation.belief(self.world)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin an episode; returns observation and info."""
+        super().reset(seed=seed)
+        self._world = self.simulation.begin([self.np_random])
+        if self._viewer is not None:
+            self._viewer.clear()
+        if self.render_mode == "human":
+            self.render()
+        zeros = {name: 0.0 for name in self.scenario.reward_weights}
+        return self._observation(), self._info(zeros)
+
+    def step(self, action: Any):
+        """Fly one step; returns observation, reward, terminated, truncated, info.
+
+        Raises:
+            ValueError: action of the wrong shape or with values that are not finite.
+            gymnasium.error.ResetNeeded: before the first reset or after the episode's end.
+        """
+        world = self.world
+        command = self.simulation.actions.decode(action, None)
+        if world.step[0] >= self.scenario.steps:
+            raise gym.error.ResetNeeded("the episode is over: call reset() before the next step()")
+        self._world, reward, terms = self.simulation.advance(world, command)
+        truncated = bool(self._world.step[0] >= self.scenario.steps)
+        if self.render_mode == "human":
+            self.render()
+        values = {name: float(term[0]) for name, term in terms.items()}
+        return self._observation(), float(reward[0]), False, truncated, self._info(values)
+
+    def render(self):
+        """Picture of the moment: an RGB array, or a window for mode "human"."""
+        if self.render_mode is None:
+            gym.logger.warn("render() needs gym.make(..., render_mode='rgb_array' or 'human')")
+            return None
+        if self._viewer is None:
+            from passive_env.render import Viewer
+
+            self._viewer = Viewer(self.simulation, self.render_mode)
+        return self._viewer.draw(self.world)
+
+    def close(self):
+        """Close the window, if any."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    def _observation(self) -> np.ndarray:
+        return self.simulation.observe(self.world)[0]
+
+    def _info(self, terms: dict[str, float]) -> dict[str, Any]:
+        m = self.world.metrics
+        return {
+            "range_error_m": m.range_error_m[0].copy(),
+            "position_error_m": m.position_error_m[0].copy(),
+            "range_m": m.range_m[0].copy(),
+            "range_crlb_m": m.range_crlb_m[0].copy(),
+            "nees": m.nees[0].copy(),
+            "lost": m.lost[0].copy(),
+            "reward_terms": terms,
+        }

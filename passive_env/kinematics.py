@@ -1,0 +1,96 @@
+"""How platforms and targets move: exact arcs at constant turn rate and constant acceleration.
+
+Frame: east x, north y [m]; states [x, y, vx, vy]; turn rates counter-clockwise positive [rad/s].
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackers.compiled import helper, kernel
+
+
+@helper
+def arc(speed, acceleration, turn_rate, h):
+    """Displacement (forward, left) [m] in the starting heading's frame after h seconds.
+
+        ∫₀ʰ (v + a t) e^{iωt} dt = (v + a h) e^{iωh}/(iω) − v/(iω) + a (e^{iωh} − 1)/ω²
+
+    A series is used where |ωh| is too small for the closed form's differences.
+    """
+    w, turned = turn_rate, turn_rate * h
+    if abs(turned) < 1e-4:
+        forward = speed * h + 0.5 * acceleration * h * h
+        return forward, w * h * h * (0.5 * speed + acceleration * h / 3.0)
+    c, s = math.cos(turned), math.sin(turned)
+    end = speed + acceleration * h
+    return (
+        end * s / w + acceleration * (c - 1.0) / (w * w),
+        (speed - end * c) / w + acceleration * s / (w * w),
+    )
+
+
+@helper
+def advance_in_place(state, acceleration, turn_rate, h):
+    """Move a state [x, y, vx, vy] along an arc of h seconds."""
+    speed = math.hypot(state[2], state[3])
+    heading = math.atan2(state[3], state[2])
+    forward, left = arc(speed, acceleration, turn_rate, h)
+    c, s = math.cos(heading), math.sin(heading)
+    state[0] += c * forward - s * left
+    state[1] += s * forward + c * left
+    heading += turn_rate * h
+    speed += acceleration * h
+    state[2], state[3] = speed * math.cos(heading), speed * math.sin(heading)
+
+
+@kernel("(s,x),(s),()->(s,x)")
+def _turn(states, turn_rate, step_s, out):
+    out[:] = states
+    for i in range(states.shape[0]):
+        advance_in_place(out[i], 0.0, turn_rate[i], step_s)
+
+
+def turn(states, turn_rate, step_s):
+    """Fly each platform for one step at constant speed and turn rate.
+
+    Args:
+        states: [..., s, 4] m, m/s; turn_rate: [..., s] rad/s; step_s: s.
+    Returns:
+        [..., s, 4].
+    """
+    return _turn(states, turn_rate, step_s)
+
+
+@kernel("(x),(),(w),(),(w),(),(k)->(k,x)")
+def _maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, like, path):
+    """Exact over pieces between the instants at which a window opens or closes."""
+    state = start.copy()
+    path[0] = start
+    for k in range(1, like.shape[0]):
+        t, end = (k - 1) * step_s, k * step_s
+        while t < end:
+            until = end
+            for edge in (turn_window[0], turn_window[1], acceleration_window[0], acceleration_window[1]):
+                if t < edge < until:
+                    until = edge
+            middle = 0.5 * (t + until)
+            rate = turn_rate if turn_window[0] <= middle < turn_window[1] else 0.0
+            a = acceleration if acceleration_window[0] <= middle < acceleration_window[1] else 0.0
+            advance_in_place(state, a, rate, until - t)
+            t = until
+        path[k] = state
+
+
+def maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, steps_axis):
+    """Path of a target that turns during one window of time and accelerates along its course during another.
+
+    Args:
+        start: [..., 4] m, m/s.
+        turn_rate: [...] rad/s; turn_window: [..., 2] s, from and to.
+        acceleration: [...] m/s²; acceleration_window: [..., 2] s.
+        step_s: s; steps_axis: [k + 1] any array of the path's length.
+    Returns:
+        [..., k + 1, 4] exact states at multiples of the step.
+    """
+    return _maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, steps_axis)

@@ -1,0 +1,92 @@
+"""How far off the tracks are, how far off anyone must be, and whether a track is lost. Truth is used here."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackers.bounds import range_variance
+from trackers.compiled import kernel
+from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
+from trackers.measurement import update_in_place
+from trackers.motion import predict_in_place
+
+
+class Metrics(NamedTuple):
+    """Figures of merit of one instant, each [..., m].
+
+    Attributes:
+        range_error_m: |estimated − true range| from the reference station [m].
+        position_error_m: distance of the estimate from the target [m].
+        range_m: true range from the reference station [m].
+        range_crlb_m: posterior Cramér–Rao bound on the range along the true geometry [m].
+        nees: normalised estimation error squared (4 degrees of freedom).
+        lost: far off without knowing it.
+    """
+
+    range_error_m: Any
+    position_error_m: Any
+    range_m: Any
+    range_crlb_m: Any
+    nees: Any
+    lost: Any
+
+
+@kernel(
+    "(m,x),(m,x,x),(m,x),(m,x,x),(s,x),(),(),(),(),(),()->(m,x,x),(m),(m),(m),(m),(m),(m)",
+    "ffffffffbffffffffb",
+)
+def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_error, lost_nees,
+             new_bound, range_error, position_error, true_range, crlb, nees, lost):  # fmt: skip
+    n_stations = platforms.shape[0]
+    sx, sy = platforms[n_stations - 1, 0], platforms[n_stations - 1, 1]
+    x = np.empty(4)
+    factor = np.empty((4, 4))
+    new_bound[:] = bound
+    for m in range(mean.shape[0]):
+        P = new_bound[m]
+        x[:] = truth[m]
+        if T > 0.0:
+            predict_in_place(x, P, T, q)
+        for s in range(0 if all_stations else n_stations - 1, n_stations):
+            x[:] = truth[m]
+            z = math.atan2(x[1] - platforms[s, 1], x[0] - platforms[s, 0])
+            update_in_place(x, P, z, platforms[s, 0], platforms[s, 1], std * std)
+        true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
+        range_error[m] = abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m])
+        position_error[m] = math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1])
+        crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
+        for i in range(4):
+            x[i] = mean[m, i] - truth[m, i]
+            for j in range(4):
+                factor[i, j] = cov[m, i, j]
+        cholesky_in_place(factor)
+        nees[m] = min(mahalanobis_with_factor(factor, x), 1e12)
+        lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
+
+
+def measure(
+    estimate, truth, bound, platforms, step_s, process_noise, bearing_std, all_stations, lost_error_m, lost_nees
+) -> tuple[Any, Metrics]:
+    """Advance the posterior Cramér–Rao bound by one scan and compare the tracks with the truth.
+
+    Args:
+        estimate: Gaussian, mean [..., m, 4], cov [..., m, 4, 4].
+        truth: [..., m, 4].
+        bound: [..., m, 4, 4] bound after the previous scan.
+        platforms: [..., s, 4]; the last one is the reference.
+        step_s: [...] s since the previous scan; 0 for the first.
+        process_noise: q [m/s per step] of the bound's motion model.
+        bearing_std: rad, divided by the square root of the detection probability by the caller.
+        all_stations: whether all stations' bearings count or the reference's only.
+        lost_error_m, lost_nees: a track is lost if both are exceeded.
+    Returns:
+        new bound [..., m, 4, 4], Metrics.
+    """
+    new_bound, *figures = _measure(
+        estimate.mean, estimate.cov, truth, bound, platforms, step_s, process_noise, bearing_std,
+        all_stations, lost_error_m, lost_nees,
+    )  # fmt: skip
+    return new_bound, Metrics(*figures)

@@ -1,0 +1,120 @@
+"""What the agent earns: weighted terms, each a pure function of one instant with a unit. Truth may be used here.
+
+A term maps a `Moment` to [e] numbers; larger is better. The scenario holds the weights; terms of weight 0 are not
+computed, and every weighted one appears in ``info["reward_terms"]``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from passive_env.metrics import Metrics
+from trackers.compiled import kernel
+
+
+class Moment(NamedTuple):
+    """All that a reward may depend on.
+
+    Attributes:
+        metrics, previous: figures of merit now and one step earlier, each [e, m].
+        command: [e, a] in [−1, 1].
+        platforms: [e, s, 4]; truth: [e, m, 4].
+        standoff_m: distance that platforms must keep from targets, 0 for none.
+    """
+
+    metrics: Metrics
+    previous: Metrics
+    command: Any
+    platforms: Any
+    truth: Any
+    standoff_m: float
+
+
+@kernel("(m),()->()")
+def _mean_log(value, floor, out):
+    total = 0.0
+    for m in range(value.shape[0]):
+        total += math.log(max(value[m], floor))
+    out[0] = total / value.shape[0]
+
+
+@kernel("(m),(m)->()")
+def _mean_ratio(numerator, denominator, out):
+    total = 0.0
+    for m in range(numerator.shape[0]):
+        total += min(numerator[m] / max(denominator[m], 1.0), 10.0)
+    out[0] = total / numerator.shape[0]
+
+
+@kernel("(s,x),(m,x),()->()")
+def _intrusion(platforms, truth, standoff, out):
+    out[0] = 0.0
+    for s in range(platforms.shape[0]):
+        for m in range(truth.shape[0]):
+            d = math.hypot(platforms[s, 0] - truth[m, 0], platforms[s, 1] - truth[m, 1])
+            out[0] += max(0.0, 1.0 - d / standoff) if standoff > 0.0 else 0.0
+
+
+ERROR_FLOOR_M = 30.0
+"""Errors below this earn no further log reward: luck of one draw, not geometry."""
+
+
+def log_range_error(moment: Moment):
+    """−log(range error / 1 km), mean over targets, errors floored at 30 m [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.range_error_m, ERROR_FLOOR_M)
+
+
+def relative_range_error(moment: Moment):
+    """−range error / range, mean over targets, each at most 10 [1]."""
+    return -_mean_ratio(moment.metrics.range_error_m, moment.metrics.range_m)
+
+
+def log_range_bound(moment: Moment):
+    """−log(range bound / 1 km), mean over targets: the geometry's quality without the draw's luck [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.range_crlb_m, 1.0)
+
+
+def information_gain(moment: Moment):
+    """Decrease of log range bound over the step, mean over targets [nepers]."""
+    return _mean_log(moment.previous.range_crlb_m, 1.0) - _mean_log(moment.metrics.range_crlb_m, 1.0)
+
+
+def maneuver(moment: Moment):
+    """−mean square command: 1 is every platform turning at its limit [1]."""
+    return -np.square(moment.command).mean(axis=-1)
+
+
+def standoff(moment: Moment):
+    """−Σ over platform–target pairs of the relative depth of intrusion into the stand-off ring [1]."""
+    return -_intrusion(moment.platforms, moment.truth, moment.standoff_m)
+
+
+def lost_track(moment: Moment):
+    """−share of lost tracks [1]."""
+    return -moment.metrics.lost.mean(axis=-1)
+
+
+TERMS: dict[str, Callable[[Moment], Any]] = {
+    term.__name__: term
+    for term in (
+        log_range_error,
+        relative_range_error,
+        log_range_bound,
+        information_gain,
+        maneuver,
+        standoff,
+        lost_track,
+    )
+}
+"""All reward terms by name."""
+
+
+def evaluate(weights: Mapping[str, float], moment: Moment) -> tuple[Any, dict[str, Any]]:
+    """Total reward [e] and its weighted terms, each [e]."""
+    terms = {name: weight * TERMS[name](moment) for name, weight in weights.items()}
+    total = sum(terms.values(), start=np.zeros(len(moment.command)))
+    return total, terms

@@ -1,0 +1,125 @@
+"""Kernels written for one item and lifted over any leading axes, and the one place where threads are used.
+
+A kernel is written as the paper writes it, with loops and branches, for ONE track (or one scan, one environment).
+`kernel` turns it into a NumPy generalised ufunc through `numba.guvectorize`: NumPy broadcasting then supplies the
+leading axes. Compilation happens at the first call and is cached on disk; importing the package compiles nothing.
+
+The compiled code releases the interpreter lock, so blocks of a batch run on all cores with plain threads (`Blocks`):
+no second OpenMP runtime next to torch's, no trouble with forked workers.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+
+T = TypeVar("T")
+
+_TYPES = {"f": numba.float64, "i": numba.int64, "b": numba.boolean, "g": numba.float32}
+
+# Division by zero must yield inf (to be handled), not raise from inside a batch.
+helper = numba.njit(error_model="numpy")
+"""Decorator of small scalar functions that kernels call; LLVM inlines them."""
+
+
+def kernel(layout: str, dtypes: str = "") -> Callable[[Callable[..., None]], Kernel]:
+    """Make a lazily compiled generalised ufunc of a function written for one item.
+
+    Args:
+        layout: NumPy gufunc signature, e.g. ``"(n,x),(n,x,x),()->(n,x)"``.
+        dtypes: one letter per argument, outputs last (``f`` float64, ``g`` float32, ``i`` int64, ``b`` bool); all float64 if empty.
+    """
+    return lambda function: Kernel(function, layout, dtypes)
+
+
+class Kernel:
+    """A generalised ufunc compiled at its first call (see `kernel`)."""
+
+    def __init__(self, function: Callable[..., None], layout: str, dtypes: str = ""):
+        self.layout = layout.replace(" ", "")
+        self.dtypes = dtypes
+        self.__doc__ = function.__doc__
+        self.__name__ = function.__name__
+        self._function = function
+        self._gufunc: Any = None
+
+    def __call__(self, *arrays: Any, **options: Any) -> Any:
+        """Apply to arrays of shape [..., core]; leading axes broadcast."""
+        if self._gufunc is None:
+            self._compile()
+        return self._gufunc(*arrays, **options)
+
+    def _compile(self) -> None:
+        _drop_stale_cache()
+        inputs, outputs = (re.findall(r"\(([^)]*)\)", side) for side in self.layout.split("->"))
+        ranks = [0 if not core else core.count(",") + 1 for core in (*inputs, *outputs)]
+        letters = self.dtypes or "f" * len(ranks)
+        if len(letters) != len(ranks):
+            raise ValueError(f"kernel {self.__name__}: {len(ranks)} arguments in the layout, {len(letters)} dtypes")
+        types = []
+        for place, (letter, rank) in enumerate(zip(letters, ranks, strict=True)):
+            scalar_output = rank == 0 and place >= len(inputs)
+            types.append(_array(letter, 1 if scalar_output else rank))
+        decorate = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=True)
+        self._gufunc = decorate(self._function)
+
+
+def _array(letter: str, rank: int) -> Any:
+    scalar = _TYPES[letter]
+    return scalar if rank == 0 else scalar[(slice(None),) * rank]
+
+
+@lru_cache(maxsize=1)
+def _drop_stale_cache() -> None:
+    """Delete cached machine code that is older than any source file of the package.
+
+    Numba notices a change of the kernel's own file only, not one of a helper that was inlined from another file.
+    """
+    here = Path(__file__).resolve().parent
+    folders = [here, here.parent / "passive_env"]
+    newest = max((source.stat().st_mtime for folder in folders for source in folder.rglob("*.py")), default=0.0)
+    for folder in folders:
+        for index in folder.rglob("__pycache__/*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
+
+
+class Blocks:
+    """Runs a function on consecutive blocks of a batch, on several threads when there is more than one block.
+
+    Args:
+        size: number of items in the batch.
+        block: items in one block; small enough that a block's state stays in a core's cache.
+        threads: worker threads; None takes the number of cores this process may use.
+    """
+
+    def __init__(self, size: int, block: int = 256, threads: int | None = None):
+        count = max(1, -(-size // block))
+        edges = np.linspace(0, size, count + 1).round().astype(int)
+        self.slices = [slice(int(lo), int(hi)) for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
+        self.threads = min(threads or available_cores(), count)
+
+    def map(self, function: Callable[..., T], *columns: Sequence[Any]) -> list[T]:
+        """Call ``function(*row)`` for every block, one row of the columns per block; results in block order."""
+        if self.threads == 1:
+            return [function(*row) for row in zip(*columns, strict=True)]
+        return list(_pool(self.threads, os.getpid()).map(function, *columns))
+
+
+def available_cores() -> int:
+    """Number of processor cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@lru_cache(maxsize=8)
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """One pool per size and process: a forked child must not inherit its parent's threads."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="passive-env")

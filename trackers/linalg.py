@@ -1,0 +1,87 @@
+"""Small symmetric matrices: the only place that symmetrises, adds jitter or takes a log-determinant.
+
+The scalar helpers serve kernels; the array functions serve everything whose cost does not grow with tracks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackers.compiled import helper, kernel
+
+LOG_TWO_PI = float(np.log(2.0 * np.pi))
+JITTER = 1e-12
+"""Relative size of the diagonal term that keeps a factorisation going when rounding made a pivot non-positive."""
+
+
+def symmetrize(matrix):
+    """(A + Aᵀ) / 2 for matrices [..., d, d]."""
+    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
+
+
+@helper
+def cholesky_in_place(a):
+    """Lower Cholesky factor of a [d, d], overwriting its lower triangle; a non-positive pivot is lifted by jitter."""
+    d = a.shape[0]
+    for j in range(d):
+        scale = abs(a[j, j])
+        pivot = a[j, j]
+        for k in range(j):
+            pivot -= a[j, k] * a[j, k]
+        pivot = max(pivot, JITTER * scale + 1e-300)
+        a[j, j] = np.sqrt(pivot)
+        for i in range(j + 1, d):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            a[i, j] = s / a[j, j]
+
+
+@helper
+def mahalanobis_with_factor(factor, x):
+    """xᵀ(LLᵀ)⁻¹x for a lower factor [d, d]; x [d] is overwritten by L⁻¹x."""
+    d = x.shape[0]
+    total = 0.0
+    for i in range(d):
+        s = x[i]
+        for k in range(i):
+            s -= factor[i, k] * x[k]
+        x[i] = s / factor[i, i]
+        total += x[i] * x[i]
+    return total
+
+
+@kernel("(d),(d,d)->()")
+def _mahalanobis(x, cov, out):
+    factor = cov.copy()
+    cholesky_in_place(factor)
+    out[0] = mahalanobis_with_factor(factor, x.copy())
+
+
+def mahalanobis_squared(x, cov):
+    """Squared Mahalanobis length xᵀP⁻¹x.
+
+    Args:
+        x: [..., d].
+        cov: [..., d, d], symmetric positive definite; a numerically indefinite one is lifted by a relative jitter.
+    Returns:
+        [...], finite and non-negative.
+    """
+    return _mahalanobis(x, cov)
+
+
+def psd_solve(matrix, rhs):
+    """A⁻¹b for symmetric positive definite A [..., d, d] and b [..., d, k], through Cholesky."""
+    factor = np.linalg.cholesky(symmetrize(matrix))
+    return np.linalg.solve(np.swapaxes(factor, -1, -2), np.linalg.solve(factor, rhs))
+
+
+def psd_inverse(matrix):
+    """A⁻¹, symmetric, for symmetric positive definite A [..., d, d]."""
+    return symmetrize(psd_solve(matrix, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)))
+
+
+def log_det(matrix):
+    """log det A [...] for symmetric positive definite A [..., d, d]."""
+    factor = np.linalg.cholesky(symmetrize(matrix))
+    return 2.0 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)

@@ -1,0 +1,123 @@
+"""The bearing measurement: h(x) = atan2(y − y_s, x − x_s), counter-clockwise from east, in (−π, π]."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackers.angles import wrap_scalar
+from trackers.compiled import helper, kernel
+from trackers.gaussian import Gaussian
+from trackers.linalg import LOG_TWO_PI
+
+MIN_RANGE_SQUARED = 1.0
+"""A track that comes closer than 1 m to a station is linearised at 1 m: the Jacobian stays finite."""
+
+
+class BearingUpdate(NamedTuple):
+    """Result of conditioning a track on one bearing.
+
+    Attributes:
+        posterior: Gaussian, mean [..., 4], cov [..., 4, 4].
+        innovation: [...] rad, wrapped.
+        innovation_var: [...] rad².
+        log_likelihood: [...] of the bearing under the prior.
+    """
+
+    posterior: Gaussian
+    innovation: Any
+    innovation_var: Any
+    log_likelihood: Any
+
+
+def bearing(position, station):
+    """Bearing [...] rad from `station` [..., 2] to `position` [..., ≥2], metres, counter-clockwise from east."""
+    dx, dy = (np.asarray(position)[..., i] - np.asarray(station)[..., i] for i in (0, 1))
+    return np.arctan2(dy, dx)
+
+
+def bearing_jacobian(position, station):
+    """∂h/∂(x, y) [..., 2] rad/m: [−dy, dx] / r². Source: Xiu et al. (2002), eq 32."""
+    dx, dy = (np.asarray(position)[..., i] - np.asarray(station)[..., i] for i in (0, 1))
+    r2 = np.maximum(dx * dx + dy * dy, MIN_RANGE_SQUARED)
+    return np.stack([-dy / r2, dx / r2], axis=-1)
+
+
+@helper
+def linearize(x, y, sx, sy):
+    """Predicted bearing [rad] and the two non-zero Jacobian entries [rad/m]."""
+    dx, dy = x - sx, y - sy
+    r2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
+    return math.atan2(dy, dx), -dy / r2, dx / r2
+
+
+@helper
+def update_in_place(x, P, z, sx, sy, var):
+    """EKF update of x [4], P [4, 4] with one bearing, in place, Joseph form; returns ν, S.
+
+    P' = (I − KH) P (I − KH)ᵀ + K σ² Kᵀ, written out for H = [a, b, 0, 0]; the upper triangle is computed and mirrored.
+    """
+    h, a, b = linearize(x[0], x[1], sx, sy)
+    nu = wrap_scalar(z - h)
+    p00, p01, p02, p03 = P[0, 0], P[0, 1], P[0, 2], P[0, 3]
+    p11, p12, p13, p22, p23, p33 = P[1, 1], P[1, 2], P[1, 3], P[2, 2], P[2, 3], P[3, 3]
+    f0, f1, f2, f3 = a * p00 + b * p01, a * p01 + b * p11, a * p02 + b * p12, a * p03 + b * p13
+    S = a * f0 + b * f1 + var
+    k0, k1, k2, k3 = f0 / S, f1 / S, f2 / S, f3 / S
+    x[0] += k0 * nu
+    x[1] += k1 * nu
+    x[2] += k2 * nu
+    x[3] += k3 * nu
+    # With f = PHᵀ and g = σ²K − (I − KH)PHᵀ the Joseph form is P − K fᵀ + g Kᵀ.
+    hph = a * f0 + b * f1
+    g0, g1 = var * k0 - (f0 - k0 * hph), var * k1 - (f1 - k1 * hph)
+    g2, g3 = var * k2 - (f2 - k2 * hph), var * k3 - (f3 - k3 * hph)
+    P[0, 0] = p00 - k0 * f0 + g0 * k0
+    P[1, 1] = p11 - k1 * f1 + g1 * k1
+    P[2, 2] = p22 - k2 * f2 + g2 * k2
+    P[3, 3] = p33 - k3 * f3 + g3 * k3
+    P[0, 1] = P[1, 0] = p01 - k0 * f1 + g0 * k1
+    P[0, 2] = P[2, 0] = p02 - k0 * f2 + g0 * k2
+    P[0, 3] = P[3, 0] = p03 - k0 * f3 + g0 * k3
+    P[1, 2] = P[2, 1] = p12 - k1 * f2 + g1 * k2
+    P[1, 3] = P[3, 1] = p13 - k1 * f3 + g1 * k3
+    P[2, 3] = P[3, 2] = p23 - k2 * f3 + g2 * k3
+    return nu, S
+
+
+@helper
+def log_normal(nu, S):
+    """log N(ν; 0, S) of a scalar innovation."""
+    return -0.5 * (LOG_TWO_PI + math.log(S) + nu * nu / S)
+
+
+@kernel("(x),(x,x),(),(p),()->(x),(x,x),(),(),()")
+def _update(x, P, z, station, std, x_out, P_out, nu_out, S_out, ll_out):
+    x_out[:] = x
+    P_out[:] = P
+    nu, S = update_in_place(x_out, P_out, z, station[0], station[1], std * std)
+    nu_out[0] = nu
+    S_out[0] = S
+    ll_out[0] = log_normal(nu, S)
+
+
+def update(prior: Gaussian, bearing, station, bearing_std) -> BearingUpdate:
+    """Condition a track on one bearing (first-order EKF, Joseph form).
+
+        ν = wrap(z − h(x))    S = H P Hᵀ + σ²    K = P Hᵀ / S
+
+    Args:
+        prior: mean [..., 4] x, y [m], vx, vy [m/s], east-north; cov [..., 4, 4].
+        bearing: [...] rad, counter-clockwise from east.
+        station: [..., 2] position [m].
+        bearing_std: [...] rad.
+    Returns:
+        BearingUpdate: posterior, innovation, its variance, log-likelihood.
+    Raises:
+        ValueError: if the trailing axes do not fit.
+    Source: Xiu et al. (2002), eqs 28, 31–36 with an absolute state; atan2 for tan⁻¹.
+    """
+    mean, cov, nu, S, log_likelihood = _update(prior.mean, prior.cov, bearing, station, bearing_std)
+    return BearingUpdate(Gaussian(mean, cov), nu, S, log_likelihood)

@@ -1,0 +1,75 @@
+"""Constant-velocity motion with the paper's noise input.
+
+State x = [x, y, vx, vy] in metres and metres per second, east-north, absolute.
+
+    x' = Φ x + G w,   w ~ N(0, q² I₂),   G = [T/2 I₂; I₂]
+
+The noise w is a velocity increment per step, so q has the unit m/s per step (acceleration × T): one step of 10 m/s²
+at T = 2 s is q = 20.
+Source: Xiu et al. (2002), eqs 24–30; the paper's station-relative state with the known own displacement U is
+equivalent to the absolute state used here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackers.compiled import helper, kernel
+from trackers.gaussian import Gaussian
+
+
+def transition(step_s: float) -> np.ndarray:
+    """Φ [4, 4] over a step of `step_s` seconds."""
+    phi = np.eye(4)
+    phi[0, 2] = phi[1, 3] = step_s
+    return phi
+
+
+def process_noise(step_s: float, velocity_std: float) -> np.ndarray:
+    """q² G Gᵀ [4, 4] (rank 2: never invert it); `velocity_std` is q in m/s per step."""
+    g = np.vstack([0.5 * step_s * np.eye(2), np.eye(2)])
+    return velocity_std**2 * g @ g.T
+
+
+@helper
+def predict_in_place(x, P, T, q):
+    """One constant-velocity prediction of x [4] and P [4, 4], in place.
+
+    Velocity is copied before position is touched; each covariance entry is read before it is overwritten.
+    """
+    x[0] += T * x[2]
+    x[1] += T * x[3]
+    q2 = q * q
+    half, quarter = 0.5 * T * q2, 0.25 * T * T * q2
+    vxx, vxy, vyy = P[2, 2], P[2, 3], P[3, 3]
+    cxx, cxy, cyx, cyy = P[0, 2], P[0, 3], P[1, 2], P[1, 3]
+    P[0, 0] += 2.0 * T * cxx + T * T * vxx + quarter
+    P[1, 1] += 2.0 * T * cyy + T * T * vyy + quarter
+    P[0, 1] += T * (cxy + cyx) + T * T * vxy
+    P[0, 2] = cxx + T * vxx + half
+    P[0, 3] = cxy + T * vxy
+    P[1, 2] = cyx + T * vxy
+    P[1, 3] = cyy + T * vyy + half
+    P[2, 2] = vxx + q2
+    P[3, 3] = vyy + q2
+    P[1, 0], P[2, 0], P[3, 0] = P[0, 1], P[0, 2], P[0, 3]
+    P[2, 1], P[3, 1], P[3, 2] = P[1, 2], P[1, 3], P[2, 3]
+
+
+@kernel("(x),(x,x),(),()->(x),(x,x)")
+def _predict(x, P, T, q, x_out, P_out):
+    x_out[:] = x
+    P_out[:] = P
+    predict_in_place(x_out, P_out, T, q)
+
+
+def predict(prior: Gaussian, step_s, velocity_std) -> Gaussian:
+    """Propagate a track by one step: Φx, ΦPΦᵀ + q²GGᵀ.
+
+    Args:
+        prior: mean [..., 4] m, m/s; cov [..., 4, 4].
+        step_s: T [...] s.
+        velocity_std: q [...] m/s per step.
+    Source: Xiu et al. (2002), eqs 29–30 with an absolute state.
+    """
+    return Gaussian(*_predict(prior.mean, prior.cov, step_s, velocity_std))

@@ -1,0 +1,290 @@
+"""Range-parameterised EKF: a bank of EKFs, one per geometric subinterval of the unknown range.
+
+Source: Xiu et al. (2002), eqs 11–38. Deviations, each stated where it is made: the weights live in the log domain,
+are renormalised after pruning, and the best hypothesis always stays; the state is absolute; any number of stations'
+bearings may enter an update; by default initial velocity has zero mean.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackers.association import AssociationModel, associate
+from trackers.compiled import helper, kernel
+from trackers.contract import Scan, Update
+from trackers.gaussian import Gaussian
+from trackers.measurement import log_normal, update_in_place
+from trackers.motion import predict as predict_gaussian
+from trackers.triangulation import RangeInterval, forward_interval
+
+PRUNED = -1.0e6
+"""Log weight of a removed hypothesis: finite, and exp(PRUNED) is exactly 0."""
+
+_FOUR = np.zeros(4)
+"""Tells a kernel the length of the state, which no other input carries."""
+
+
+class Bank(NamedTuple):
+    """A bank of n EKFs.
+
+    Attributes:
+        mean: [..., n, 4] x, y [m], vx, vy [m/s].
+        cov: [..., n, 4, 4].
+        log_weights: [..., n]; `PRUNED` marks removed hypotheses; exp of the others sums to 1.
+    """
+
+    mean: Any
+    cov: Any
+    log_weights: Any
+
+
+class Subintervals(NamedTuple):
+    """Geometric subintervals: centre [..., n] m, half length [..., n] m, prior weight [..., n]."""
+
+    center: Any
+    half_length: Any
+    weight: Any
+
+
+class BankUpdate(NamedTuple):
+    """Posterior bank; innovation and its variance [..., s], moment-matched over hypotheses; log-likelihood [...]."""
+
+    posterior: Bank
+    innovation: Any
+    innovation_var: Any
+    log_likelihood: Any
+
+
+@kernel("(),(),(n)->(n),(n),(n)")
+def _subintervals(low, high, like, center, half_length, weight):
+    n = like.shape[0]
+    rho = (high / low) ** (1.0 / n)
+    edge = low
+    for i in range(n):
+        upper = high if i == n - 1 else edge * rho
+        center[i] = 0.5 * (upper + edge)
+        half_length[i] = 0.5 * (upper - edge)
+        weight[i] = (upper - edge) / (high - low)
+        edge = upper
+
+
+def subintervals(interval: RangeInterval, n: int) -> Subintervals:
+    """Split a range interval into n subintervals with a constant ratio of length to distance.
+
+        ρ = (R_max / R_min)^(1/n)    R_i = ρ^{i−1}(ρ + 1) R_min / 2    σ_i = ρ^{i−1}(ρ − 1) R_min / 2
+
+    Args:
+        interval: bounds [...] m, 0 < low < high.
+        n: number of subintervals, at least 1.
+    Source: Xiu et al. (2002), eqs 11–17, 21. σ_i is the half length, used as a standard deviation (conservative).
+    """
+    return Subintervals(*_subintervals(interval.low, interval.high, np.empty(n)))
+
+
+@kernel("(),(p),(),(n),(n),(n),(),(),(x)->(n,x),(n,x,x),(n)")
+def _initiate(alpha, station, std, center, half_length, weight, radial_speed, speed_std, like, mean, cov, log_w):
+    c, s = math.cos(alpha), math.sin(alpha)
+    cov[:] = 0.0
+    for i in range(center.shape[0]):
+        mean[i, 0] = station[0] + center[i] * c
+        mean[i, 1] = station[1] + center[i] * s
+        mean[i, 2], mean[i, 3] = radial_speed * c, radial_speed * s
+        cross, radial = (center[i] * std) ** 2, half_length[i] ** 2
+        cov[i, 0, 0] = radial * c * c + cross * s * s
+        cov[i, 1, 1] = radial * s * s + cross * c * c
+        cov[i, 0, 1] = cov[i, 1, 0] = (radial - cross) * c * s
+        cov[i, 2, 2] = cov[i, 3, 3] = speed_std * speed_std
+        log_w[i] = math.log(weight[i])
+
+
+def initiate(
+    bearing, station, bearing_std, interval: RangeInterval, n: int = 8, radial_speed=0.0, velocity_std=200.0
+) -> Bank:
+    """Start a bank along a bearing: one EKF per subinterval of the range interval.
+
+    Args:
+        bearing: [...] rad, reference bearing α.
+        station: [..., 2] reference station [m].
+        bearing_std: [...] rad.
+        interval: range bounds [...] m.
+        n: number of hypotheses.
+        radial_speed: [...] m/s along α; the paper's literal start is outward, v_s > 0.
+        velocity_std: [...] m/s per axis.
+    Source: Xiu et al. (2002), eqs 18–21. Deviation: zero-mean velocity by default.
+    """
+    parts = subintervals(interval, n)
+    return Bank(*_initiate(bearing, station, bearing_std, *parts, radial_speed, velocity_std, _FOUR))
+
+
+def predict(bank: Bank, step_s, velocity_std) -> Bank:
+    """Propagate every hypothesis by one step (`trackers.motion`); weights are unchanged."""
+    return Bank(*predict_gaussian(Gaussian(bank.mean, bank.cov), step_s, velocity_std), bank.log_weights)
+
+
+@helper
+def reweight(log_w, log_prune):
+    """Normalise log weights [n] in place, prune those below log_prune, renormalise; returns the evidence.
+
+    When every hypothesis falls below the threshold the best one stays.
+    """
+    n = log_w.shape[0]
+    best = 0
+    for i in range(1, n):
+        if log_w[i] > log_w[best]:
+            best = i
+    top = log_w[best]
+    total = 0.0
+    for i in range(n):
+        if log_w[i] > PRUNED:
+            total += math.exp(log_w[i] - top) if i != best else 1.0
+    evidence = top + math.log(total)
+    kept = 0.0
+    for i in range(n):
+        if i != best and not log_w[i] - evidence >= log_prune:
+            log_w[i] = PRUNED
+        elif i == best:
+            kept += 1.0
+        else:
+            kept += math.exp(log_w[i] - top)
+    shift = top + math.log(kept)
+    for i in range(n):
+        if log_w[i] > PRUNED:
+            log_w[i] -= shift
+    return evidence
+
+
+@kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffffffff")
+def _update(x, P, lw, z, used, stations, std, log_prune, x_out, P_out, lw_out, nu_out, S_out, evidence):
+    n, n_stations = lw.shape[0], z.shape[0]
+    var = std * std
+    x_out[:] = x
+    P_out[:] = P
+    nu_out[:] = 0.0
+    S_out[:] = 0.0
+    any_used = False
+    for s in range(n_stations):
+        any_used |= used[s]
+    for i in range(n):
+        lw_out[i] = lw[i]
+        if lw[i] <= PRUNED or not any_used:
+            continue
+        w = 1.0 if lw[i] == 0.0 else math.exp(lw[i])
+        for s in range(n_stations):
+            if used[s]:
+                nu, S = update_in_place(x_out[i], P_out[i], z[s], stations[s, 0], stations[s, 1], var)
+                lw_out[i] += log_normal(nu, S)
+                nu_out[s] += w * nu
+                S_out[s] += w * (S + nu * nu)
+    for s in range(n_stations):
+        S_out[s] = max(S_out[s] - nu_out[s] * nu_out[s], var)
+    evidence[0] = reweight(lw_out, log_prune) if any_used else 0.0
+
+
+def update(bank: Bank, bearings, used, stations, bearing_std, prune_below=1e-3) -> BankUpdate:
+    """Condition every hypothesis on the bearings of one or several stations, then reweight and prune.
+
+        w_i(k) ∝ w_i(k−1) |2πS_i|^{−1/2} exp(−ν_i² / 2S_i)
+
+    Stations enter one after the other, each linearised at the estimate the previous one left.
+
+    Args:
+        bank: [..., n] hypotheses.
+        bearings: [..., s] rad; used: [..., s] bool (False: missed, no effect).
+        stations: [..., s, 2] m.
+        bearing_std: [...] rad.
+        prune_below: weight below which a hypothesis is removed for good; the best one always stays.
+    Source: Xiu et al. (2002), eqs 22–23, 28, 31–36. Deviations: logs, renormalisation after pruning, absolute state.
+    """
+    mean, cov, log_weights, nu, S, evidence = _update(*bank, bearings, used, stations, bearing_std, math.log(prune_below))
+    return BankUpdate(Bank(mean, cov, log_weights), nu, S, evidence)
+
+
+@kernel("(n,x),(n,x,x),(n)->(x),(x,x)")
+def _estimate(x, P, lw, x_out, P_out):
+    d = x.shape[1]
+    x_out[:] = 0.0
+    P_out[:] = 0.0
+    alive = 0
+    last = 0
+    for i in range(lw.shape[0]):
+        if lw[i] > PRUNED:
+            alive += 1
+            last = i
+            w = math.exp(lw[i])
+            for r in range(d):
+                x_out[r] += w * x[i, r]
+    if alive == 1:
+        x_out[:] = x[last]
+        P_out[:] = P[last]
+        return
+    for i in range(lw.shape[0]):
+        if lw[i] > PRUNED:
+            w = math.exp(lw[i])
+            for r in range(d):
+                for c in range(r, d):
+                    P_out[r, c] += w * (P[i, r, c] + (x[i, r] - x_out[r]) * (x[i, c] - x_out[c]))
+    for r in range(d):
+        for c in range(r):
+            P_out[r, c] = P_out[c, r]
+
+
+def estimate(bank: Bank) -> Gaussian:
+    """Mixture mean [..., 4] and covariance [..., 4, 4]. Source: Xiu et al. (2002), eqs 37–38."""
+    return Gaussian(*_estimate(*bank))
+
+
+@dataclass(frozen=True)
+class RpEkf:
+    """The range-parameterised EKF as a multi-target tracker (`trackers.contract.Tracker`).
+
+    The last station of a scan is the reference. Settings, SI units:
+        hypotheses: EKFs per target.
+        floor_m, cap_m: nearest and farthest range a target is looked for.
+        velocity_std: initial velocity standard deviation per axis [m/s].
+        process_noise: q [m/s per step].
+        prune_below: weight at which a hypothesis is removed.
+        reference_only: use the reference station's bearings only after initiation, as in the paper.
+        model: gates and detection model of the association.
+    """
+
+    hypotheses: int = 8
+    floor_m: float = 5.0e3
+    cap_m: float = 2.0e5
+    velocity_std: float = 200.0
+    process_noise: float = 15.0
+    prune_below: float = 1e-3
+    reference_only: bool = False
+    model: AssociationModel = AssociationModel()
+
+    def initiate(self, scan: Scan) -> Bank:
+        """One bank per reference bearing, over the range interval of its forward crossings."""
+        alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
+        others, valid = scan.bearings[..., None, 0, :], scan.valid[..., None, 0, :]
+        station = scan.stations[..., None, 0, :]
+        spread = 3.0 * scan.bearing_std
+        interval = forward_interval(alpha, reference, others, valid, station, spread, self.floor_m, self.cap_m)
+        return initiate(
+            alpha, reference, scan.bearing_std, interval, self.hypotheses, 0.0, self.velocity_std
+        )
+
+    def predict(self, state: Bank, step_s) -> Bank:
+        """Propagate all hypotheses by one step."""
+        return predict(state, step_s, self.process_noise)
+
+    def update(self, state: Bank, scan: Scan) -> Update:
+        """Assign the scan's bearings to the tracks (one global assignment), then condition on them."""
+        if self.reference_only:
+            scan = Scan(scan.bearings[..., -1:, :], scan.valid[..., -1:, :], scan.stations[..., -1:, :], scan.bearing_std)
+        found = associate(state.mean, state.cov, state.log_weights, scan, self.model)
+        posterior, nu, S, log_likelihood = update(
+            state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below
+        )
+        return Update(posterior, nu, S, log_likelihood, found.assignment)
+
+    def estimate(self, state: Bank) -> Gaussian:
+        """Mixture mean [..., m, 4] and covariance [..., m, 4, 4]."""
+        return estimate(state)
