@@ -10,9 +10,12 @@ no second OpenMP runtime next to torch's, no trouble with forked workers.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import os
 import re
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -20,8 +23,11 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
+from filelock import FileLock
 
 T = TypeVar("T")
+
+_COMPILING = threading.RLock()
 
 _TYPES = {"f": numba.float64, "i": numba.int64, "b": numba.boolean, "g": numba.float32}
 
@@ -49,16 +55,19 @@ class Kernel:
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
         self._function = function
+        self._owner: Any = None
         self._gufunc: Any = None
 
     def __call__(self, *arrays: Any, **options: Any) -> Any:
         """Apply to arrays of shape [..., core]; leading axes broadcast."""
         if self._gufunc is None:
-            self._compile()
+            with _COMPILING, _own_cache():
+                self._compile()
         return self._gufunc(*arrays, **options)
 
     def _compile(self) -> None:
-        _drop_stale_cache()
+        if self._gufunc is not None:
+            return
         inputs, outputs = (re.findall(r"\(([^)]*)\)", side) for side in self.layout.split("->"))
         ranks = [0 if not core else core.count(",") + 1 for core in (*inputs, *outputs)]
         letters = self.dtypes or "f" * len(ranks)
@@ -68,8 +77,8 @@ class Kernel:
         for place, (letter, rank) in enumerate(zip(letters, ranks, strict=True)):
             scalar_output = rank == 0 and place >= len(inputs)
             types.append(_array(letter, 1 if scalar_output else rank))
-        decorate = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=True)
-        self._gufunc = decorate(self._function)
+        self._owner = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=True)(self._function)
+        self._gufunc = self._owner.ufunc  # the owner keeps the machine code alive
 
 
 def _array(letter: str, rank: int) -> Any:
@@ -78,18 +87,40 @@ def _array(letter: str, rank: int) -> Any:
 
 
 @lru_cache(maxsize=1)
-def _drop_stale_cache() -> None:
-    """Delete cached machine code that is older than any source file of the package.
+def _cache_folder() -> str:
+    """Folder of machine code made from exactly these sources.
 
-    Numba notices a change of the kernel's own file only, not one of a helper that was inlined from another file.
+    Numba's own cache notices a change of the kernel's file only, not one of a helper inlined from another file, so
+    the folder's name carries a digest of all sources of the packages that hold kernels.
     """
     here = Path(__file__).resolve().parent
-    folders = [here, here.parent / "passive_env"]
-    newest = max((source.stat().st_mtime for folder in folders for source in folder.rglob("*.py")), default=0.0)
-    for folder in folders:
-        for index in folder.rglob("__pycache__/*.nbi"):
-            if index.stat().st_mtime < newest:
-                index.unlink(missing_ok=True)
+    sources = sorted(path for folder in (here, here.parent / "passive_env") for path in folder.rglob("*.py"))
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+    beside = here / "__pycache__"
+    if numba.config.CACHE_DIR:
+        base = Path(numba.config.CACHE_DIR)
+    elif os.access(beside if beside.exists() else here, os.W_OK):
+        base = beside
+    else:
+        base = Path.home() / ".cache" / "passive-env"
+    return str(base / f"kernels-{digest}")
+
+
+@contextlib.contextmanager
+def _own_cache() -> Iterator[None]:
+    """Point numba's cache at our folder while a kernel is compiled or loaded, one process at a time.
+
+    Numba caches a gufunc's body and its loop in two files that name each other; two processes that compile the same
+    kernel at once can leave a body of one beside a loop of the other, and the next process crashes. Hence the lock.
+    """
+    folder, before = _cache_folder(), numba.config.CACHE_DIR
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    numba.config.CACHE_DIR = folder
+    try:
+        with FileLock(f"{folder}/.lock"):
+            yield
+    finally:
+        numba.config.CACHE_DIR = before
 
 
 class Blocks:

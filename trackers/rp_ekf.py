@@ -13,16 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.association import AssociationModel, associate
+from trackers.association import PRUNED, AssociationModel, associate
 from trackers.compiled import helper, kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.measurement import log_normal, update_in_place
 from trackers.motion import predict as predict_gaussian
 from trackers.triangulation import RangeInterval, forward_interval
-
-PRUNED = -1.0e6
-"""Log weight of a removed hypothesis: finite, and exp(PRUNED) is exactly 0."""
 
 _FOUR = np.zeros(4)
 """Tells a kernel the length of the state, which no other input carries."""
@@ -283,7 +280,7 @@ class RpEkf:
         posterior, nu, S, log_likelihood = update(
             state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below
         )
-        return Update(posterior, nu, S, log_likelihood, found.assignment)
+        return Update(posterior, nu, S, log_likelihood, np.where(found.used, found.assignment, -1))
 
     def estimate(self, state: Bank) -> Gaussian:
         """Mixture mean [..., m, 4] and covariance [..., m, 4, 4]."""

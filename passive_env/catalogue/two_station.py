@@ -90,6 +90,7 @@ class TwoStation(Scenario):
     range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
     spacing_deg: float = number(7.5, 0.0, 60.0, "angle between neighbouring targets, seen from the reference")
     spacing_jitter_deg: float = number(2.5, 0.0, 60.0, "each target's bearing is shifted by up to this")
+    course_spread_deg: float = number(30.0, 0.0, 180.0, "targets share a drawn course of any direction, each ± up to this")
     target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
     target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
     maneuver_start_max_s: float = number(50.0, 0.0, 1e5, "turns and accelerations begin between 10 s and this")
@@ -166,7 +167,7 @@ class TwoStation(Scenario):
         """Tapes of len(generators) episodes, row i from generator i."""
         k, m = self.steps + 1, self.targets
         model = ReturnModel(k, STATIONS, m, self.detection_probability, self.false_bearings_mean)
-        course = 5 + 8 * m
+        course = 6 + 8 * m
         z, u = draw(generators, k * STATIONS * m, course + uniforms_needed(model))
         platforms, targets = self._courses(np.ascontiguousarray(u[:, :course]))
         noise = z.reshape(-1, k, STATIONS, m)
@@ -183,11 +184,12 @@ class TwoStation(Scenario):
                 self.baseline_min_m, self.baseline_max_m, self.range_min_m, self.range_max_m,
                 math.radians(self.spacing_deg), math.radians(self.spacing_jitter_deg), self.target_speed_min_m_s,
                 self.target_speed_max_m_s, self.maneuver_start_max_s, self.final_speed_m_s, self.station_speed_m_s,
+                math.radians(self.course_spread_deg),
             ]
         )  # fmt: skip
         stations, start, schedule = _random_starts(u, limits, like_stations, like_targets, np.empty(6))
         if self.course == "flights":
-            picks = u[:, 5:].reshape(len(u), self.targets, 8)[..., 7]
+            picks = u[:, 6:].reshape(len(u), self.targets, 8)[..., 7]
             return stations, _place_flights(start, self._flight_paths.windows(picks, self.steps))
         axis = np.empty(self.steps + 1)
         paths = maneuver(
@@ -213,10 +215,10 @@ def _random_starts(u, limits, like_s, like_m, like_w, stations, start, schedule)
         stations[s, 2], stations[s, 3] = limits[10] * math.cos(heading), limits[10] * math.sin(heading)
     n = start.shape[0]
     for m in range(n):
-        v = u[5 + 8 * m : 13 + 8 * m]
+        v = u[6 + 8 * m : 14 + 8 * m]
         distance = limits[2] + (limits[3] - limits[2]) * v[0]
         bearing = line_of_sight + (m - 0.5 * (n - 1)) * limits[4] + (2.0 * v[1] - 1.0) * limits[5]
-        heading = two_pi * v[2]
+        heading = two_pi * u[5] + limits[11] * (2.0 * v[2] - 1.0)
         speed = limits[6] + (limits[7] - limits[6]) * v[3]
         start[m, 0], start[m, 1] = distance * math.cos(bearing), distance * math.sin(bearing)
         start[m, 2], start[m, 3] = speed * math.cos(heading), speed * math.sin(heading)
