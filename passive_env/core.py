@@ -64,18 +64,22 @@ class Simulation:
         batch = len(generators)
         step = np.zeros(batch, dtype=np.int64)
         sighting = sense(tape, step, tape.platforms, self._std, in_order=True)
-        tape = _renumber(tape, sighting.origin[:, -1, : tape.targets.shape[2]])
+        targets = tape.targets.shape[2]
+        tape = _renumber(tape, sighting.origin[:, -1, :targets])
         truth = tape.targets[:, 0]
-        state = self.tracker.initiate(sighting.scan)
+        scan = sighting.scan._replace(
+            bearings=sighting.scan.bearings[..., :targets], valid=sighting.scan.valid[..., :targets]
+        )
+        state = self.tracker.initiate(scan)
         estimate = self.tracker.estimate(state)
-        stations, targets = tape.platforms.shape[1], truth.shape[1]
+        stations = tape.platforms.shape[1]
         prior = bound_prior(
             truth, tape.platforms[:, None, -1, :2], self._bound_std, PRIOR_RANGE_STD_M, PRIOR_VELOCITY_STD_M_S
         )
         bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0)
         return World(
             step, tape.platforms, tape, state, estimate,
-            np.ones((batch, targets, stations), dtype=bool), sighting.scan.valid.sum(-1),
+            np.ones((batch, targets, stations), dtype=bool), scan.valid.sum(-1),
             np.zeros((batch, self.actions.size)), bound, truth, metrics,
         )  # fmt: skip
 

@@ -34,14 +34,11 @@ class AssociationModel:
         gate_sigma: half width of a bearing gate in innovation standard deviations.
         detection_probability: in (0, 1]; 1 is taken as 0.999, so that a bearing outside every gate can be left out.
         false_bearing_density: expected false bearings per station, scan and radian; floored at 1e-3.
-        ambiguity_margin: a bearing that another track could take at a joint extra cost below this many nepers
-            updates neither: tracks coast through crossing bearings instead of trading them. 0 switches it off.
     """
 
     gate_sigma: float = 4.0
     detection_probability: float = 1.0
     false_bearing_density: float = 0.0
-    ambiguity_margin: float = 3.0
 
     def log_costs(self) -> tuple[float, float]:
         """Cost of a missed bearing, and cost added to −log N(ν; 0, S) of an assigned one."""
@@ -55,7 +52,7 @@ class Association(NamedTuple):
     Attributes:
         assignment: [..., m, s] slot of the scan, −1 for none.
         bearings: [..., m, s] rad, the assigned bearing, 0 for none.
-        used: [..., m, s] bool: assigned and not ambiguous.
+        used: [..., m, s] bool.
         cost: [...] negative log-likelihood (ratio) of the whole assignment.
     """
 
@@ -66,8 +63,12 @@ class Association(NamedTuple):
 
 
 @helper
-def _innovations(x, P, lw, z, valid, stations, var, gate, nu, S, inside):
-    """Innovations nu [s, n, b] and variances S [3, n] (two stations, cross term) of one track; gated returns."""
+def innovations(x, P, lw, z, valid, stations, var, gate, nu, S, inside):
+    """Innovations of one track's hypotheses and the moments of their joint density.
+
+    Fills nu [s, n, b]; S [6, n]: S_a, S_b, regression S_ab / S_a, conditional variance S_b|a, logs of S_a and S_b|a;
+    inside [2, b]: returns in some gate.
+    """
     inside[:] = False
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:
@@ -75,69 +76,101 @@ def _innovations(x, P, lw, z, valid, stations, var, gate, nu, S, inside):
         f0 = f1 = 0.0
         for s in range(z.shape[0]):
             h, a, b = linearize(x[i, 0], x[i, 1], stations[s, 0], stations[s, 1])
-            if s == 1:
-                S[2, i] = a * f0 + b * f1
+            cross = a * f0 + b * f1
             f0, f1 = a * P[i, 0, 0] + b * P[i, 0, 1], a * P[i, 0, 1] + b * P[i, 1, 1]
             S[s, i] = a * f0 + b * f1 + var
+            if s == 1:
+                S[2, i] = cross / S[0, i]
+                S[3, i] = S[1, i] - S[2, i] * cross
+                S[5, i] = math.log(S[3, i])
+            else:
+                S[4, i] = math.log(S[0, i])
+            limit = gate * gate * S[s, i]
             for k in range(z.shape[1]):
                 if valid[s, k]:
                     v = wrap_scalar(z[s, k] - h)
                     nu[s, i, k] = v
-                    if v * v <= gate * gate * S[s, i]:
+                    if v * v <= limit:
                         inside[s, k] = True
 
 
 @helper
-def _pair_cost(lw, nu, S, ka, kb):
-    """−log of the mixture's likelihood of the returns (ka, kb) of the two stations; −1 for none."""
+def pair_log_likelihood(nu, S, i, ka, kb):
+    """Joint log-likelihood of the returns (ka, kb) of the two stations under hypothesis i; −1 for none."""
+    if ka >= 0:
+        va = nu[0, i, ka]
+        e = -0.5 * (LOG_TWO_PI + S[4, i] + va * va / S[0, i])
+        if kb >= 0:
+            vb = nu[1, i, kb] - S[2, i] * va
+            e -= 0.5 * (LOG_TWO_PI + S[5, i] + vb * vb / S[3, i])
+        return e
+    return log_normal(nu[1, i, kb], S[1, i]) if kb >= 0 else 0.0
+
+
+@helper
+def _pair_cost(lw, nu, S, ka, kb, row):
+    """−log of the mixture's likelihood of the returns (ka, kb); each hypothesis' own goes to row [n]."""
     best, total = -math.inf, 0.0
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:
             continue
-        e = lw[i]
-        if ka >= 0 and kb >= 0:
-            va, vb = nu[0, i, ka], nu[1, i, kb]
-            det = S[0, i] * S[1, i] - S[2, i] * S[2, i]
-            q = (S[1, i] * va * va - 2.0 * S[2, i] * va * vb + S[0, i] * vb * vb) / det
-            e -= LOG_TWO_PI + 0.5 * (math.log(det) + q)
-        elif ka >= 0:
-            e += log_normal(nu[0, i, ka], S[0, i])
-        elif kb >= 0:
-            e += log_normal(nu[1, i, kb], S[1, i])
+        row[i] = pair_log_likelihood(nu, S, i, ka, kb)
+        e = lw[i] + row[i]
         if e > best:
-            total = total * math.exp(best - e) + 1.0
+            total = total * math.exp(best - e) + 1.0 if total > 0.0 else 1.0
             best = e
         else:
             total += math.exp(e - best)
-    return -best - math.log(total)
+    return -best - math.log(total) if total != 1.0 else -best
 
 
 @helper
-def _insert_sorted(c_opt, k_opt, count, cost, ka, kb):
-    """Insert an option into the ascending list of one track; returns the new length."""
-    t = count
-    while t > 0 and c_opt[t - 1] > cost:
-        c_opt[t] = c_opt[t - 1]
-        k_opt[t, 0], k_opt[t, 1] = k_opt[t - 1, 0], k_opt[t - 1, 1]
-        t -= 1
-    c_opt[t] = cost
-    k_opt[t, 0], k_opt[t, 1] = ka, kb
-    return count + 1
+def list_options(lw, nu, S, inside, two_stations, hit, miss, c_opt, k_opt, log_likelihood):
+    """Every combination of gated returns and misses of one track, cheapest first; returns their number.
 
-
-@helper
-def _search(c_opt, k_opt, count, best):
-    """Depth-first branch and bound over the tracks' sorted options; fills best [m] with options, returns the cost.
-
-    Options are sorted, so the first one that cannot win ends its level.
+    Fills costs c_opt [o]; returns of both stations and a row number k_opt [o, 3]; log_likelihood [row, n].
     """
-    m = count.shape[0]
-    suffix, prefix = np.zeros(m + 1), np.zeros(m + 1)
+    count = 0
+    n_slots = inside.shape[1]
+    for ka in range(-1, n_slots):
+        if ka >= 0 and not inside[0, ka]:
+            continue
+        for kb in range(-1, n_slots if two_stations else 0):
+            if kb >= 0 and not inside[1, kb]:
+                continue
+            c = _pair_cost(lw, nu, S, ka, kb, log_likelihood[count]) + (hit if ka >= 0 else miss)
+            if two_stations:
+                c += hit if kb >= 0 else miss
+            t = count
+            while t > 0 and c_opt[t - 1] > c:
+                c_opt[t] = c_opt[t - 1]
+                for q in range(3):
+                    k_opt[t, q] = k_opt[t - 1, q]
+                t -= 1
+            c_opt[t] = c
+            k_opt[t, 0], k_opt[t, 1], k_opt[t, 2] = ka, kb, count
+            count += 1
+    return count
+
+
+@helper
+def walk_assignments(c_opt, k_opt, count, bound, collect, chosen, weight, sums, marks):
+    """Depth-first walk over joint assignments cheaper than a bound; options are sorted, so a level ends at the first
+    one that cannot win.
+
+    collect False: the bound shrinks to the best assignment found, which is left in `chosen` [m]; returns its cost.
+    collect True: every assignment below the bound adds exp(bound − cost) to `weight` [m, options] of its options.
+    Scratch: sums [2, > m] float, marks [3, > m and > returns] int.
+    """
+    m = c_opt.shape[0]
+    suffix, prefix = sums[0], sums[1]  # cost still to come at least, cost so far
+    cursor, owner = marks[0], marks[1:]  # next option of each level; which level holds a return
+    suffix[m] = prefix[0] = 0.0
     for j in range(m - 1, -1, -1):
         suffix[j] = suffix[j + 1] + c_opt[j, 0]
-    cursor = np.zeros(m, dtype=np.int64)
-    owner = np.full((2, c_opt.shape[1] + 1), -1)  # which level holds a return; the last column is "none"
-    best_cost, nodes, level = math.inf, 0, 0
+        cursor[j] = 0
+    owner[:] = -1
+    found, nodes, level = False, 0, 0
     while level >= 0:
         nodes += 1
         if cursor[level] > 0:  # release what this level held
@@ -146,8 +179,8 @@ def _search(c_opt, k_opt, count, best):
                 if k >= 0 and owner[s, k] == level:
                     owner[s, k] = -1
         o = cursor[level]
-        exhausted = o >= count[level] or (nodes > NODE_LIMIT and best_cost < math.inf)
-        if exhausted or prefix[level] + c_opt[level, o] + suffix[level + 1] >= best_cost:
+        exhausted = o >= count[level] or (nodes > NODE_LIMIT and found)
+        if exhausted or prefix[level] + c_opt[level, o] + suffix[level + 1] >= bound:
             cursor[level] = 0
             level -= 1
             continue
@@ -156,8 +189,15 @@ def _search(c_opt, k_opt, count, best):
         if (ka >= 0 and owner[0, ka] >= 0) or (kb >= 0 and owner[1, kb] >= 0):
             continue
         if level == m - 1:
-            best_cost = prefix[level] + c_opt[level, o]
-            best[:] = cursor - 1
+            found = True
+            c = prefix[level] + c_opt[level, o]
+            if collect:
+                for j in range(m):
+                    weight[j, cursor[j] - 1] += math.exp(bound - c)
+            else:
+                bound = c
+                for j in range(m):
+                    chosen[j] = cursor[j] - 1
             continue
         if ka >= 0:
             owner[0, ka] = level
@@ -165,57 +205,30 @@ def _search(c_opt, k_opt, count, best):
             owner[1, kb] = level
         prefix[level + 1] = prefix[level] + c_opt[level, o]
         level += 1
-    return best_cost
+    return bound
 
 
-@helper
-def _is_ambiguous(cost, chosen, j, s, margin):
-    """Whether another track could take track j's return of station s at a joint extra cost below the margin."""
-    ja, jb = chosen[j, 0], chosen[j, 1]
-    for i in range(chosen.shape[0]):
-        if i == j:
-            continue
-        ia, ib = chosen[i, 0], chosen[i, 1]
-        if s == 0:
-            swapped = cost[j, ia, jb] + cost[i, ja, ib]
-        else:
-            swapped = cost[j, ja, ib] + cost[i, ia, jb]
-        if swapped - cost[j, ja, jb] - cost[i, ia, ib] < margin:
-            return True
-    return False
-
-
-@kernel("(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),()->(m,s),(m,s),(m,s),()", "ffffbffffffifbf")
-def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, margin, assignment, z_out, used, total):
+@kernel("(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),()->(m,s),(m,s),(m,s),()", "ffffbfffffifbf")
+def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, assignment, z_out, used, total):
     n_tracks, n_hyp = lw.shape
     n_stations, n_slots = z.shape
-    cost = np.full((n_tracks, n_slots + 1, n_slots + 1), math.inf)  # index −1: none
     c_opt = np.empty((n_tracks, (n_slots + 1) ** n_stations))
-    k_opt = np.empty((n_tracks, c_opt.shape[1], 2), dtype=np.int64)
+    k_opt = np.empty((n_tracks, c_opt.shape[1], 3), dtype=np.int64)
     count = np.zeros(n_tracks, dtype=np.int64)
-    nu, S = np.empty((n_stations, n_hyp, n_slots)), np.empty((3, n_hyp))
+    nu, S = np.empty((n_stations, n_hyp, n_slots)), np.empty((6, n_hyp))
+    rows = np.empty((c_opt.shape[1], n_hyp))
     inside = np.zeros((2, n_slots), dtype=np.bool_)
     for j in range(n_tracks):
-        _innovations(x[j], P[j], lw[j], z, valid, stations, std * std, gate, nu, S, inside)
-        for ka in range(-1, n_slots):
-            for kb in range(-1, n_slots if n_stations == 2 else 0):
-                if (ka >= 0 and not inside[0, ka]) or (kb >= 0 and not inside[1, kb]):
-                    continue
-                c = _pair_cost(lw[j], nu, S, ka, kb) + (hit if ka >= 0 else miss)
-                if n_stations == 2:
-                    c += hit if kb >= 0 else miss
-                cost[j, ka, kb] = c
-                count[j] = _insert_sorted(c_opt[j], k_opt[j], count[j], c, ka, kb)
+        innovations(x[j], P[j], lw[j], z, valid, stations, std * std, gate, nu, S, inside)
+        count[j] = list_options(lw[j], nu, S, inside, n_stations == 2, hit, miss, c_opt[j], k_opt[j], rows)
     best = np.zeros(n_tracks, dtype=np.int64)
-    total[0] = _search(c_opt, k_opt, count, best)
-    chosen = np.empty((n_tracks, 2), dtype=np.int64)
-    for j in range(n_tracks):
-        chosen[j, 0], chosen[j, 1] = k_opt[j, best[j], 0], k_opt[j, best[j], 1]
+    sums, marks = np.empty((2, n_tracks + 1)), np.empty((3, n_tracks + n_slots + 1), dtype=np.int64)
+    total[0] = walk_assignments(c_opt, k_opt, count, math.inf, False, best, c_opt, sums, marks)
     for j in range(n_tracks):
         for s in range(n_stations):
-            k = chosen[j, s]
+            k = k_opt[j, best[j], s]
             assignment[j, s] = k
-            used[j, s] = k >= 0 and not (margin > 0.0 and _is_ambiguous(cost, chosen, j, s, margin))
+            used[j, s] = k >= 0
             z_out[j, s] = z[s, k] if k >= 0 else 0.0
 
 
@@ -242,6 +255,6 @@ def associate(mean, cov, log_weights, scan: Scan, model: AssociationModel = Asso
     miss, hit = model.log_costs()
     assignment, bearings, used, cost = _associate(
         mean, cov, log_weights, scan.bearings, scan.valid, scan.stations, scan.bearing_std,
-        model.gate_sigma, miss, hit, model.ambiguity_margin,
+        model.gate_sigma, miss, hit,
     )  # fmt: skip
     return Association(assignment, bearings, used, cost)

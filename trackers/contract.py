@@ -26,6 +26,10 @@ class Scan(NamedTuple):
     stations: Any
     bearing_std: Any
 
+    def reference_only(self) -> Scan:
+        """The last station's part of the scan."""
+        return Scan(self.bearings[..., -1:, :], self.valid[..., -1:, :], self.stations[..., -1:, :], self.bearing_std)
+
 
 class Update(NamedTuple):
     """What an update returns.

@@ -1,7 +1,6 @@
 """One EKF per target, started at the cross-fix of two paired bearings: the baseline any bank must beat.
 
-It is a bank of one hypothesis: association, update and estimate are those of `trackers.rp_ekf`; only the start
-differs.
+It is a bank of one hypothesis that takes the one best joint assignment of every scan as given.
 """
 
 from __future__ import annotations
@@ -11,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trackers.association import associate
 from trackers.compiled import kernel
-from trackers.contract import Scan
+from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
-from trackers.rp_ekf import Bank, RpEkf
+from trackers.rp_ekf import Bank, RpEkf, predict, update
 from trackers.triangulation import crossing_ranges, least_squares_fix, pair_bearings
 
 
@@ -59,6 +59,24 @@ class FusedEkf(RpEkf):
         theta = np.take_along_axis(thetas, np.maximum(partner, 0), axis=-1)
         start = self._fix(theta, alpha, station, reference, partner >= 0, scan.bearing_std)
         return Bank(start.mean[..., None, :], start.cov[..., None, :, :], np.zeros((*alpha.shape, 1)))
+
+    def predict(self, state: Bank, step_s) -> Bank:
+        """Propagate all tracks by one step."""
+        return predict(state, step_s, self.process_noise)
+
+    def estimate(self, state: Bank) -> Gaussian:
+        """Mean [..., m, 4] and covariance [..., m, 4, 4]."""
+        return Gaussian(state.mean[..., 0, :], state.cov[..., 0, :, :])
+
+    def update(self, state: Bank, scan: Scan) -> Update:
+        """Give each track its bearings of the one best joint assignment, then condition on them."""
+        if self.reference_only:
+            scan = scan.reference_only()
+        found = associate(*state, scan, self.model)
+        posterior, nu, S, log_likelihood = update(
+            state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below
+        )
+        return Update(posterior, nu, S, log_likelihood, found.assignment)
 
     def _fix(self, theta, alpha, station, reference, paired, std) -> Gaussian:
         _, r2 = crossing_ranges(theta, alpha, station[..., None, :], reference[..., None, :])

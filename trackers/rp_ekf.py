@@ -13,13 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.association import PRUNED, AssociationModel, associate
-from trackers.compiled import helper, kernel
+from trackers.association import PRUNED, AssociationModel
+from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.measurement import log_normal, update_in_place
 from trackers.motion import predict as predict_gaussian
-from trackers.triangulation import RangeInterval, forward_interval
+from trackers.reweight import reweight
+from trackers.soft_association import branch_and_update
+from trackers.triangulation import RangeInterval, admissible_crossings, forward_interval
 
 _FOUR = np.zeros(4)
 """Tells a kernel the length of the state, which no other input carries."""
@@ -37,6 +39,20 @@ class Bank(NamedTuple):
     mean: Any
     cov: Any
     log_weights: Any
+
+
+class BranchedBank(NamedTuple):
+    """A bank whose hypotheses branch over returns (`trackers.soft_association`).
+
+    Attributes:
+        mean, cov, log_weights: as in `Bank`; the weights include that every return has one owner.
+        own_log_weights: [..., n] weights from the track's own likelihoods only.
+    """
+
+    mean: Any
+    cov: Any
+    log_weights: Any
+    own_log_weights: Any
 
 
 class Subintervals(NamedTuple):
@@ -120,38 +136,6 @@ def initiate(
 def predict(bank: Bank, step_s, velocity_std) -> Bank:
     """Propagate every hypothesis by one step (`trackers.motion`); weights are unchanged."""
     return Bank(*predict_gaussian(Gaussian(bank.mean, bank.cov), step_s, velocity_std), bank.log_weights)
-
-
-@helper
-def reweight(log_w, log_prune):
-    """Normalise log weights [n] in place, prune those below log_prune, renormalise; returns the evidence.
-
-    When every hypothesis falls below the threshold the best one stays.
-    """
-    n = log_w.shape[0]
-    best = 0
-    for i in range(1, n):
-        if log_w[i] > log_w[best]:
-            best = i
-    top = log_w[best]
-    total = 0.0
-    for i in range(n):
-        if log_w[i] > PRUNED:
-            total += math.exp(log_w[i] - top) if i != best else 1.0
-    evidence = top + math.log(total)
-    kept = 0.0
-    for i in range(n):
-        if i != best and not log_w[i] - evidence >= log_prune:
-            log_w[i] = PRUNED
-        elif i == best:
-            kept += 1.0
-        else:
-            kept += math.exp(log_w[i] - top)
-    shift = top + math.log(kept)
-    for i in range(n):
-        if log_w[i] > PRUNED:
-            log_w[i] -= shift
-    return evidence
 
 
 @kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffffffff")
@@ -257,31 +241,33 @@ class RpEkf:
     reference_only: bool = False
     model: AssociationModel = AssociationModel()
 
-    def initiate(self, scan: Scan) -> Bank:
+    def initiate(self, scan: Scan) -> BranchedBank:
         """One bank per reference bearing, over the range interval of its forward crossings."""
         alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
-        others, valid = scan.bearings[..., None, 0, :], scan.valid[..., None, 0, :]
-        station = scan.stations[..., None, 0, :]
+        others, station = scan.bearings[..., None, 0, :], scan.stations[..., None, 0, :]
         spread = 3.0 * scan.bearing_std
+        valid = admissible_crossings(
+            alpha, scan.valid[..., -1, :], scan.stations[..., -1, :], scan.bearings[..., 0, :], scan.valid[..., 0, :],
+            scan.stations[..., 0, :], spread, self.floor_m, self.cap_m,
+        )  # fmt: skip
         interval = forward_interval(alpha, reference, others, valid, station, spread, self.floor_m, self.cap_m)
-        return initiate(
-            alpha, reference, scan.bearing_std, interval, self.hypotheses, 0.0, self.velocity_std
-        )
+        bank = initiate(alpha, reference, scan.bearing_std, interval, self.hypotheses, 0.0, self.velocity_std)
+        return BranchedBank(*bank, bank.log_weights)
 
-    def predict(self, state: Bank, step_s) -> Bank:
+    def predict(self, state: BranchedBank, step_s) -> BranchedBank:
         """Propagate all hypotheses by one step."""
-        return predict(state, step_s, self.process_noise)
+        mean, cov = predict_gaussian(Gaussian(state.mean, state.cov), step_s, self.process_noise)
+        return BranchedBank(mean, cov, state.log_weights, state.own_log_weights)
 
-    def update(self, state: Bank, scan: Scan) -> Update:
-        """Assign the scan's bearings to the tracks (one global assignment), then condition on them."""
+    def update(self, state: BranchedBank, scan: Scan) -> Update:
+        """Branch every hypothesis over the returns, weighed by the joint assignments (`soft_association`)."""
         if self.reference_only:
-            scan = Scan(scan.bearings[..., -1:, :], scan.valid[..., -1:, :], scan.stations[..., -1:, :], scan.bearing_std)
-        found = associate(state.mean, state.cov, state.log_weights, scan, self.model)
-        posterior, nu, S, log_likelihood = update(
-            state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below
+            scan = scan.reference_only()
+        *bank, nu, S, assignment, log_likelihood = branch_and_update(
+            state.mean, state.cov, state.own_log_weights, scan, self.model, self.prune_below
         )
-        return Update(posterior, nu, S, log_likelihood, np.where(found.used, found.assignment, -1))
+        return Update(BranchedBank(*bank), nu, S, log_likelihood, assignment)
 
-    def estimate(self, state: Bank) -> Gaussian:
+    def estimate(self, state: BranchedBank) -> Gaussian:
         """Mixture mean [..., m, 4] and covariance [..., m, 4, 4]."""
-        return estimate(state)
+        return estimate(Bank(state.mean, state.cov, state.log_weights))

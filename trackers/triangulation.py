@@ -68,6 +68,84 @@ def crossing_ranges(theta, alpha, station, reference):
     return _crossing(theta, alpha, station, reference)
 
 
+@helper
+def _reaches_forward(theta, alpha, x1, y1, x2, y2, spread, floor, cap):
+    """Whether a crossing with θ ± spread can lie ahead of both stations and between floor and cap."""
+    near, far = math.inf, 0.0
+    for sign in (-1.0, 0.0, 1.0):
+        r1, r2 = signed_ranges(theta + sign * spread, alpha, x1, y1, x2, y2)
+        if r1 > 0.0 and r2 > 0.0:
+            near, far = min(near, r2), max(far, r2)
+    if far > 0.0 and abs(wrap_scalar(theta - alpha)) <= spread:
+        far = math.inf
+    return near < cap and far > floor
+
+
+@helper
+def _extends(ok, owner, j, seen):
+    """Kuhn's augmenting path: try to find a partner for row j, moving earlier rows if need be (iterative depth 2^m)."""
+    n = ok.shape[1]
+    for h in range(n):
+        if ok[j, h] and not seen[h]:
+            seen[h] = True
+            if owner[h] < 0 or _extends(ok, owner, owner[h], seen):
+                owner[h] = j
+                return True
+    return False
+
+
+@helper
+def _matches_all(ok, rows):
+    """Whether every listed row finds a partner of its own."""
+    n = ok.shape[1]
+    owner = np.full(n, -1)
+    for j in range(ok.shape[0]):
+        if rows[j] and not _extends(ok, owner, j, np.zeros(n, dtype=np.bool_)):
+            return False
+    return True
+
+
+@kernel("(a),(a),(p),(h),(h),(p),(),(),()->(a,h)", "fbffbffffb")
+def _admissible(alphas, alpha_valid, reference, thetas, theta_valid, station, spread, floor, cap, out):
+    m, n = alphas.shape[0], thetas.shape[0]
+    for j in range(m):
+        for h in range(n):
+            out[j, h] = (
+                alpha_valid[j]
+                and theta_valid[h]
+                and _reaches_forward(
+                    thetas[h], alphas[j], station[0], station[1], reference[0], reference[1], spread, floor, cap
+                )
+            )
+    ok = out.copy()
+    if not _matches_all(ok, alpha_valid):
+        return
+    rows = alpha_valid.copy()
+    for j in range(m):
+        for h in range(n):
+            if ok[j, h]:
+                rest = ok.copy()
+                rest[:, h] = False
+                rows[j] = False
+                out[j, h] = _matches_all(rest, rows)
+                rows[j] = alpha_valid[j]
+
+
+def admissible_crossings(alphas, alpha_valid, reference, thetas, theta_valid, station, spread, floor=1.0e3, cap=2.0e5):
+    """Which crossings of two stations' bearings can be targets: forward, and part of a one-to-one pairing of all.
+
+    Args:
+        alphas: [..., a] rad, reference bearings; alpha_valid [..., a] bool.
+        reference, station: [..., 2] m.
+        thetas: [..., h] rad, the other station's; theta_valid [..., h] bool.
+        spread: [...] rad, tolerance of each bearing of `station`.
+        floor, cap: [...] m, range limits along the reference bearing.
+    Returns:
+        [..., a, h] bool. Where no one-to-one pairing exists at all, every forward crossing stays.
+    """
+    return _admissible(alphas, alpha_valid, reference, thetas, theta_valid, station, spread, floor, cap)
+
+
 @kernel("(),(p),(h),(h),(p),(),(),()->(),()", "fffbffffff")
 def _forward_interval(alpha, reference, thetas, valid, station, spread, floor, cap, lo_out, hi_out):
     lo, hi = math.inf, 0.0

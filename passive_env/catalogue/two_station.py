@@ -89,11 +89,12 @@ class TwoStation(Scenario):
     range_min_m: float = number(60e3, 1e3, 1e6, "nearest drawn start of a target from the reference")
     range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
     spacing_deg: float = number(7.5, 0.0, 60.0, "angle between neighbouring targets, seen from the reference")
-    spacing_jitter_deg: float = number(2.5, 0.0, 60.0, "each target's bearing is shifted by up to this")
+    spacing_jitter_deg: float = number(1.5, 0.0, 60.0, "each target's bearing is shifted by up to this")
     course_spread_deg: float = number(30.0, 0.0, 180.0, "targets share a drawn course of any direction, each ± up to this")
     target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
     target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
-    maneuver_start_max_s: float = number(50.0, 0.0, 1e5, "turns and accelerations begin between 10 s and this")
+    maneuver_spread_s: float = number(4.0, 0.0, 1e3, "each target begins up to this long after the first")
+    maneuver_start_max_s: float = number(40.0, 0.0, 1e5, "the targets turn and accelerate from a time between 10 s and this")
     final_speed_m_s: float = number(440.0, 1.0, 3000.0, "speed a target accelerates to, ±10")
     flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
     flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
@@ -167,7 +168,7 @@ class TwoStation(Scenario):
         """Tapes of len(generators) episodes, row i from generator i."""
         k, m = self.steps + 1, self.targets
         model = ReturnModel(k, STATIONS, m, self.detection_probability, self.false_bearings_mean)
-        course = 6 + 8 * m
+        course = 8 + 6 * m
         z, u = draw(generators, k * STATIONS * m, course + uniforms_needed(model))
         platforms, targets = self._courses(np.ascontiguousarray(u[:, :course]))
         noise = z.reshape(-1, k, STATIONS, m)
@@ -184,12 +185,12 @@ class TwoStation(Scenario):
                 self.baseline_min_m, self.baseline_max_m, self.range_min_m, self.range_max_m,
                 math.radians(self.spacing_deg), math.radians(self.spacing_jitter_deg), self.target_speed_min_m_s,
                 self.target_speed_max_m_s, self.maneuver_start_max_s, self.final_speed_m_s, self.station_speed_m_s,
-                math.radians(self.course_spread_deg),
+                math.radians(self.course_spread_deg), self.maneuver_spread_s,
             ]
         )  # fmt: skip
         stations, start, schedule = _random_starts(u, limits, like_stations, like_targets, np.empty(6))
         if self.course == "flights":
-            picks = u[:, 6:].reshape(len(u), self.targets, 8)[..., 7]
+            picks = u[:, 8:].reshape(len(u), self.targets, 6)[..., 5]
             return stations, _place_flights(start, self._flight_paths.windows(picks, self.steps))
         axis = np.empty(self.steps + 1)
         paths = maneuver(
@@ -214,17 +215,18 @@ def _random_starts(u, limits, like_s, like_m, like_w, stations, start, schedule)
         heading = two_pi * u[3 + s]
         stations[s, 2], stations[s, 3] = limits[10] * math.cos(heading), limits[10] * math.sin(heading)
     n = start.shape[0]
+    sense = 1.0 if u[7] < 0.5 else -1.0
     for m in range(n):
-        v = u[6 + 8 * m : 14 + 8 * m]
+        v = u[8 + 6 * m : 14 + 6 * m]
         distance = limits[2] + (limits[3] - limits[2]) * v[0]
         bearing = line_of_sight + (m - 0.5 * (n - 1)) * limits[4] + (2.0 * v[1] - 1.0) * limits[5]
         heading = two_pi * u[5] + limits[11] * (2.0 * v[2] - 1.0)
         speed = limits[6] + (limits[7] - limits[6]) * v[3]
         start[m, 0], start[m, 1] = distance * math.cos(bearing), distance * math.sin(bearing)
         start[m, 2], start[m, 3] = speed * math.cos(heading), speed * math.sin(heading)
-        begin = min(10.0, limits[8]) + max(limits[8] - 10.0, 0.0) * v[5]
-        final = limits[9] + 20.0 * (v[6] - 0.5)
-        schedule[m, 0] = math.radians(5.0) if v[4] < 0.5 else -math.radians(5.0)
+        begin = min(10.0, limits[8]) + max(limits[8] - 10.0, 0.0) * u[6] + limits[12] * v[4]
+        final = limits[9] + 20.0 * (v[5] - 0.5)
+        schedule[m, 0] = sense * math.radians(5.0)
         schedule[m, 1], schedule[m, 2] = begin, begin + 4.0
         schedule[m, 3] = 10.0
         schedule[m, 4], schedule[m, 5] = begin, begin + max(final - speed, 0.0) / 10.0

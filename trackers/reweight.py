@@ -1,0 +1,40 @@
+"""Weights of hypotheses, in the log domain: normalise, prune, renormalise; the best one always stays."""
+
+from __future__ import annotations
+
+import math
+
+from trackers.association import PRUNED
+from trackers.compiled import helper
+
+
+@helper
+def reweight(log_w, log_prune):
+    """Normalise log weights [n] in place, prune those below log_prune, renormalise; returns the evidence.
+
+    When every hypothesis falls below the threshold the best one stays.
+    """
+    n = log_w.shape[0]
+    best = 0
+    for i in range(1, n):
+        if log_w[i] > log_w[best]:
+            best = i
+    top = log_w[best]
+    total = 0.0
+    for i in range(n):
+        if log_w[i] > PRUNED:
+            total += math.exp(log_w[i] - top) if i != best else 1.0
+    evidence = top + math.log(total)
+    kept = 0.0
+    for i in range(n):
+        if i != best and not log_w[i] - evidence >= log_prune:
+            log_w[i] = PRUNED
+        elif i == best:
+            kept += 1.0
+        else:
+            kept += math.exp(log_w[i] - top)
+    shift = top + math.log(kept)
+    for i in range(n):
+        if log_w[i] > PRUNED:
+            log_w[i] -= shift
+    return evidence

@@ -1,0 +1,218 @@
+"""Association that decides late: every hypothesis of a bank branches over the returns it may have caused.
+
+A hard assignment that trades two bearings once is hard to undo: the tracks go on as ghosts. Here a scan's joint
+assignments only *weigh* branches. Each track keeps its n best branches, near-duplicates merge, and wrong ones (ghost
+ranges, traded bearings) lose weight as the geometry tells them apart, just as wrong range hypotheses do in the
+paper's bank. Where only one joint assignment is plausible, which is nearly always, this is the hard assignment.
+
+    own weight     v_{i,o} ∝ v_i L_i(o)
+    β_j(o) = Σ_{joint assignments that give track j the option o} exp(−cost) / Σ_{all} exp(−cost)
+    weight         w_{i,o} = β_j(o) · v_i L_i(o) / Σ_i v_i L_i(o)
+
+L_i(o) is the joint likelihood of the option's bearings under hypothesis i. That a return has one owner couples the
+tracks' weights; the coupling is computed afresh from the tracks' own weights in every scan, for feeding it back would
+count it again and again. Source: joint probabilistic data
+association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8(3), 1983) for β; branches are kept as a mixture
+instead of being merged into one Gaussian.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from trackers.association import PRUNED, innovations, list_options, walk_assignments
+from trackers.compiled import helper, kernel
+from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
+from trackers.measurement import update_in_place
+from trackers.reweight import reweight
+
+SLACK = 9.0
+"""Joint assignments this many nepers above the best one still count (e⁻⁹ ≈ 1e-4)."""
+
+MERGE = 2.0
+"""Squared Mahalanobis distance below which two branches are one."""
+
+
+@helper
+def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option):
+    """The n heaviest (hypothesis, option) branches of one track, heaviest first; returns their number.
+
+    `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents, options.
+    """
+    n = lw.shape[0]
+    kept = 0
+    for o in range(count):
+        if share[o] <= 0.0:
+            continue
+        ka, kb = k_opt[o, 0], k_opt[o, 1]
+        price = hit if ka >= 0 else miss
+        if two:
+            price += hit if kb >= 0 else miss
+        coupling = math.log(share[o]) + c_opt[o]
+        for i in range(n):
+            if lw[i] <= PRUNED:
+                continue
+            v = lw[i] + log_likelihood[k_opt[o, 2], i] - price
+            w = v + coupling
+            if kept == n and w <= weight[n - 1]:
+                continue
+            t = kept if kept < n else n - 1
+            while t > 0 and weight[t - 1] < w:
+                weight[t], own[t] = weight[t - 1], own[t - 1]
+                parent[t], option[t] = parent[t - 1], option[t - 1]
+                t -= 1
+            weight[t], own[t], parent[t], option[t] = w, v, i, o
+            kept = min(kept + 1, n)
+    return kept
+
+
+@helper
+def _merge(x, P, lw, own, factor, dx, delta):
+    """Merge branches of one track that lie within `MERGE` of a heavier one (moments are preserved)."""
+    n, d = x.shape
+    for i in range(n):
+        if lw[i] <= PRUNED:
+            continue
+        factored = False
+        for k in range(i + 1, n):
+            if lw[k] <= PRUNED:
+                continue
+            near = True
+            for r in range(d):
+                delta[r] = x[k, r] - x[i, r]
+                near &= delta[r] * delta[r] <= MERGE * P[i, r, r]
+            if not near:
+                continue
+            if not factored:
+                factor[:] = P[i]
+                cholesky_in_place(factor)
+                factored = True
+            dx[:] = delta
+            if mahalanobis_with_factor(factor, dx) > MERGE:
+                continue
+            a = 1.0 / (1.0 + math.exp(lw[i] - lw[k]))  # share of the lighter one
+            for r in range(d):
+                for c in range(d):
+                    P[i, r, c] = (1.0 - a) * P[i, r, c] + a * P[k, r, c] + a * (1.0 - a) * delta[r] * delta[c]
+            for r in range(d):
+                x[i, r] += a * delta[r]
+            lw[i] -= math.log1p(-a)
+            own[i] = max(own[i], own[k]) + math.log1p(math.exp(-abs(own[i] - own[k])))
+            lw[k] = own[k] = PRUNED
+            factored = False
+
+
+@helper
+def _mixture_innovation(lw, nu, S, k, var):
+    """Mean and variance of the innovation of return k over a track's hypotheses; (0, σ²) for none."""
+    if k < 0:
+        return 0.0, var
+    mean = second = 0.0
+    for i in range(lw.shape[0]):
+        if lw[i] > PRUNED:
+            w, v = math.exp(lw[i]), nu[i, k]
+            mean += w * v
+            second += w * (S[i] + v * v)
+    return mean, max(second - mean * mean, var)
+
+
+def _scratch(shape: tuple[int, ...], stations: int, slots: int):
+    """Working arrays of one call for banks [..., m, n, 4]: allocating inside the kernel would dominate its time."""
+    m, n = shape[-3:-1]
+    options, width = (slots + 1) ** stations, max(n, m, slots, 4) + 1
+    return (
+        np.empty((m, options, 2 + n)),
+        np.empty((m, options, 3), dtype=np.int64),
+        np.empty((m, stations, n, slots)),
+        np.empty((m, 6, n)),
+        np.empty((10, width)),
+        np.empty((7, width), dtype=np.int64),
+        np.empty((2, slots), dtype=bool),
+    )
+
+
+@kernel(
+    "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b)"
+    "->(m,n,x),(m,n,x,x),(m,n),(m,n),(m,s),(m,s),(m,s),(m)",
+    "ffffbfffffffifffibffffffif",
+)
+def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune,
+                       options, k_opt, nu, S, line, marks, inside,
+                       x_out, P_out, lw_out, own_out, nu_out, S_out, assignment, evidence):  # fmt: skip
+    """Inputs from `options` to `inside` are scratch (`_scratch`), shared by all items of a call."""
+    n_tracks, n_hyp = lw.shape
+    n_stations = z.shape[0]
+    two = n_stations == 2
+    var = std * std
+    c_opt, share, log_likelihood = options[:, :, 0], options[:, :, 1], options[:, :, 2:]
+    weight, own, delta, dx, factor = line[2], line[3], line[4, :4], line[5, :4], line[6:10, :4]
+    count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
+    for j in range(n_tracks):
+        innovations(x[j], P[j], lw[j], z, valid, stations, var, gate, nu[j], S[j], inside)
+        count[j] = list_options(
+            lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j]
+        )
+    cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
+    clear = True
+    for j in range(n_tracks):
+        clear &= best[j] == 0 and (count[j] == 1 or c_opt[j, 1] - c_opt[j, 0] > SLACK)
+        for o in range(count[j]):
+            share[j, o] = 1.0 if o == best[j] else 0.0
+    if not clear:
+        share[:] = 0.0
+        walk_assignments(c_opt, k_opt, count, cost + SLACK, True, best, share, line, marks[:3])
+    for j in range(n_tracks):
+        evidence[j] = -c_opt[j, best[j]]
+        for s in range(n_stations):
+            k = k_opt[j, best[j], s]
+            assignment[j, s] = k
+            nu_out[j, s], S_out[j, s] = _mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
+        kept = _select_branches(
+            lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j], weight, own, parent, option
+        )
+        for i in range(n_hyp):
+            p = parent[i] if i < kept else 0
+            for r in range(x.shape[2]):
+                x_out[j, i, r] = x[j, p, r]
+                for c in range(x.shape[2]):
+                    P_out[j, i, r, c] = P[j, p, r, c]
+            lw_out[j, i] = weight[i] if i < kept else PRUNED
+            own_out[j, i] = own[i] if i < kept else PRUNED
+            for s in range(n_stations if i < kept else 0):
+                k = k_opt[j, option[i], s]
+                if k >= 0:
+                    update_in_place(x_out[j, i], P_out[j, i], z[s, k], stations[s, 0], stations[s, 1], var)
+        reweight(lw_out[j], log_prune)
+        for i in range(kept):
+            if lw_out[j, i] <= PRUNED:
+                own_out[j, i] = PRUNED
+        if kept > 1:
+            _merge(x_out[j], P_out[j], lw_out[j], own_out[j], factor, dx, delta)
+        reweight(own_out[j], -1e9)
+
+
+def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
+    """Branch a batch of banks over a scan's returns and condition every branch on its bearings.
+
+    Args:
+        mean: [..., m, n, 4], cov: [..., m, n, 4, 4], own_log_weights: [..., m, n] predicted banks of m
+            tracks.
+        scan: one or two stations; see `trackers.contract.Scan`.
+        model: `trackers.association.AssociationModel`.
+        prune_below: weight below which a branch is removed; the best one always stays.
+    Returns:
+        mean, cov, log weights and own log weights of the posterior banks; innovation, its variance and slot of the best joint assignment
+        [..., m, s]; log-likelihood ratio [..., m].
+    Raises:
+        ValueError: for more than two stations.
+    """
+    if scan.bearings.shape[-2] > 2:
+        raise ValueError(f"a scan may hold bearings of one or two stations, got {scan.bearings.shape[-2]}")
+    miss, hit = model.log_costs()
+    return _branch_and_update(
+        mean, cov, own_log_weights, scan.bearings, scan.valid, scan.stations, scan.bearing_std,
+        model.gate_sigma, miss, hit, math.log(prune_below),
+        *_scratch(mean.shape, *scan.bearings.shape[-2:]),
+    )  # fmt: skip
