@@ -197,10 +197,10 @@ class Scene:
         colors = [series_color(j) for j in range(targets)]
         self._colors = np.array([to_rgb(color) for color in colors])
         per_line = [color for color in colors for _ in range(stations)]
-        self._bearings = axes.add_collection(LineCollection([], colors=per_line, linewidths=0.8, alpha=0.35, zorder=2))
-        self._trails = axes.add_collection(LineCollection([], colors=INK, linewidths=1.4, alpha=0.75, zorder=3))
-        self._courses = axes.add_collection(LineCollection([], colors=colors, linewidths=2.0, zorder=3))
-        self._ellipses = axes.add_collection(ellipse_patches(colors))
+        self._bearings = add_lines(axes, per_line, 0.8, alpha=0.35)
+        self._trails = add_lines(axes, [INK], 1.4, alpha=0.75)
+        self._courses = add_lines(axes, colors, 2.0)
+        self._ellipses = add_ellipses(axes, colors)
         self._hypotheses = axes.scatter([], [], linewidths=0.0, zorder=4)
         self._stations = [axes.plot([], [], **marker(INK))[0] for _ in range(stations)]
         self._targets = [axes.plot([], [], **marker(color))[0] for color in colors]
@@ -224,7 +224,7 @@ class Scene:
         self._show_hypotheses(hypotheses or NO_HYPOTHESES)
         self._clock.set_text(f"t = {step * step_s:g} s   (step {step} of {self._steps})")
         error, bound = world.metrics.range_error_m[0].mean(), world.metrics.range_crlb_m[0].mean()
-        self._merit.set_text(f"mean range error {kilometres(error)},  bound {kilometres(bound)}")
+        self._merit.set_text(f"mean range error {kilometres(error)},  1σ bound {kilometres(bound)}")
 
     def pixels(self) -> np.ndarray:
         """RGB uint8 [h, w, 3]; axes and legend, three quarters of the work, are drawn only when they change."""
@@ -251,7 +251,7 @@ class Scene:
         self._trails.set_segments(list(1e-3 * trails))
         for state, line, name in zip(world.platforms[0], self._stations, self._station_names, strict=True):
             place_dart(line, state)
-            place_name(name, state, frame)
+            place_name(name, state, world.platforms[0, :, :2].mean(0), frame)
 
     def _show_targets(self, world: World, step: int) -> None:
         courses = world.tape.targets[0, : step + 1, :, :2]
@@ -275,7 +275,8 @@ class Scene:
         rgb = np.broadcast_to(self._colors[: len(weight), None], (*weight.shape, 3))
         self._hypotheses.set_offsets(1e-3 * hypotheses.position.reshape(-1, 2))
         self._hypotheses.set_sizes(8.0 + 110.0 * weight.ravel())
-        self._hypotheses.set_facecolors(np.concatenate([rgb, alpha[..., None]], axis=-1).reshape(-1, 4))
+        colors: Any = np.concatenate([rgb, alpha[..., None]], axis=-1).reshape(-1, 4)
+        self._hypotheses.set_facecolor(colors)
 
 
 # -- geometry of a picture, all in km except where a name ends in _m ---------------------------------------------------
@@ -374,10 +375,19 @@ def ring(color: str, size_pt: float = RING_PT) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def ellipse_patches(colors: list[str]) -> PolyCollection:
+def add_lines(axes: Axes, colors: list[str], width_pt: float, alpha: float = 1.0) -> LineCollection:
+    """Lines in the given colours; `set_segments` places them."""
+    lines = LineCollection([], colors=colors, linewidths=width_pt, alpha=alpha, zorder=2)
+    axes.add_collection(lines)
+    return lines
+
+
+def add_ellipses(axes: Axes, colors: list[str]) -> PolyCollection:
     """One faintly filled ellipse per colour; `set_verts` places them."""
     faces = [(*to_rgb(color), 0.16) for color in colors]
-    return PolyCollection([], facecolors=faces, edgecolors=colors, linewidths=0.9, zorder=3)
+    outlines = PolyCollection([], facecolors=faces, edgecolors=colors, linewidths=0.9, zorder=3)
+    axes.add_collection(outlines)
+    return outlines
 
 
 def place_dart(line: Line2D, state_m: Any) -> None:
@@ -410,13 +420,18 @@ def name_tag(axes: Axes, text: str, color: str) -> Any:
     )  # fmt: skip
 
 
-def place_name(note: Any, state_m: Any, frame: Frame) -> None:
-    """Write a name ahead of a state [4] m, m/s, where its trail is not; behind it where the frame ends."""
+def place_name(note: Any, state_m: Any, middle_m: Any, frame: Frame) -> None:
+    """Write a name ahead of a state [4] m, m/s, where its trail is not.
+
+    Where the frame ends it stands beside the state, on the side away from the middle [2] m of all platforms.
+    """
     note.xy = 1e-3 * state_m[:2]
     course = state_m[2:] / max(math.hypot(*state_m[2:]), 1e-9)
     share = (note.xy - frame.low) / (frame.high - frame.low)
     room = np.array((0.22, 0.07))  # a name is wider than it is high
-    course = np.where((course > 0.0) & (share > 1.0 - room) | (course < 0.0) & (share < room), -course, course)
+    if ((course > 0.0) & (share > 1.0 - room) | (course < 0.0) & (share < room)).any():
+        left = np.array((-course[1], course[0]))
+        course = left if left @ (state_m[:2] - middle_m) > 0.0 else -left
     ha, va = (np.digitize(x, (-0.4, 0.4)) for x in course)
     note.set(ha=("right", "center", "left")[ha], va=("top", "center", "bottom")[va], position=tuple(12.0 * course))
 

@@ -174,6 +174,15 @@ class TwoStation(Scenario):
         noise = z.reshape(-1, k, STATIONS, m)
         return Tape(platforms, targets, noise, **returns(model, u[:, course:]))
 
+    def check_flights(self) -> None:
+        """Load the recorded flights now, so that a bad file is found before anything else is done.
+
+        Raises:
+            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
+        """
+        if self.course == "flights":
+            self._flight_paths.window_starts(self.steps)
+
     # -- courses -----------------------------------------------------------------------------------------------------
 
     def _courses(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

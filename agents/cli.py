@@ -1,0 +1,157 @@
+"""The command ``passive-env``: train, evaluate, reproduce, benchmark, list."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+HELD_OUT = "held-out"
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy, then compare it with the fixed geometries and rules on simulated courses and held-out flights.
+
+    The run folder receives the model, the resolved configuration, checkpoints, TensorBoard logs, evaluation.json, .csv,
+    .md and pictures, and the same for recorded flights under flights/.
+    """
+
+    env: str = "passive/TwoStation-v0"
+    """Environment id (see `passive-env list`)."""
+    algo: str = "ppo"
+    """Learning algorithm."""
+    timesteps: int | None = None
+    """Environment steps to train for; default from the preset."""
+    seed: int = 0
+    """Seed of training."""
+    envs: int | None = None
+    """Environments stepped at once; default from the preset."""
+    device: str = "cpu"
+    """torch device: cpu, cuda or auto. Networks this small train fastest on the CPU."""
+    out: Path | None = None
+    """Run folder; default runs/ENV-ALGO-sSEED, numbered if it exists."""
+    resume: bool = False
+    """Go on with the run in --out from its last checkpoint."""
+    episodes: int = 1000
+    """Episodes of the final evaluation."""
+    flights: str = HELD_OUT
+    """Recorded flights of the final evaluation: a CSV file, or 'held-out' for the test part of the shipped ones."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Compare policies on the same random numbers and write tables and pictures."""
+
+    env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
+    """Environment id."""
+    policies: tuple[str, ...] = ("paper", "paper_opposed", "straight", "random", "rule", "rule_perpendicular")
+    """Policy names and run folders made by train."""
+    trackers: tuple[str, ...] = ()
+    """Trackers to cross with the policies; default the scenario's own."""
+    episodes: int = 1000
+    """Paired episodes."""
+    seed: int = 1_000_000
+    """Seed of the first episode."""
+    flights: str | None = None
+    """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
+    out: Path = Path("evaluation")
+    """Folder for evaluation.json, .csv, .md and pictures."""
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Run a paper's experiments and print its claims beside ours."""
+
+    paper: Annotated[Literal["two-station"], tyro.conf.Positional] = "two-station"
+    """Which paper."""
+    runs: int = 50
+    """Monte-Carlo runs per seed."""
+    seeds: tuple[int, ...] = (0, 1, 2, 3)
+    """Seeds; scores are averaged over them."""
+    out: Path | None = None
+    """Folder for reproduction.json, .md and pictures."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Measure speed: kernels, environments and training, beside other libraries where they are installed."""
+
+    out: Path | None = None
+    """Folder for benchmark.json and .md."""
+    quick: bool = False
+    """Shorter measurements, for a check that it runs."""
+
+
+@dataclass(frozen=True)
+class List:
+    """List environments, policies and trackers."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status (2 for bad input, with the reason on standard error)."""
+    commands = {"train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "benchmark": Benchmark, "list": List}
+    command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
+    return _guarded(command)
+
+
+def train_main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of train.py: the same as ``passive-env train``."""
+    return _guarded(tyro.cli(Train, args=arguments, prog="train.py"))
+
+
+def _guarded(command: Any) -> int:
+    runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
+    try:
+        runners[type(command)](command)
+    except (ValueError, TypeError, FileNotFoundError, FileExistsError) as error:
+        print(f"passive-env: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _train(c: Train) -> None:
+    from agents.main_job import train_and_compare
+
+    train_and_compare(c.env, c.algo, c.timesteps, c.seed, c.envs, c.device, c.out, c.resume, c.episodes, c.flights)
+
+
+def _evaluate(c: Evaluate) -> None:
+    from agents.main_job import compare
+
+    compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out)
+
+
+def _reproduce(c: Reproduce) -> None:
+    from agents.reproduction import print_report, reproduce_two_station
+
+    print(print_report(reproduce_two_station(c.runs, c.seeds, c.out)))
+
+
+def _benchmark(c: Benchmark) -> None:
+    from agents.benchmark import run_benchmark
+
+    run_benchmark(c.out, c.quick)
+
+
+def _list(c: List) -> None:
+    from agents.learned import ALGORITHMS
+    from agents.policy import policy_names
+    from passive_env.catalogue import environment_ids
+    from trackers import TRACKERS
+
+    for title, names in (
+        ("environments", environment_ids()),
+        ("policies", policy_names()),
+        ("trackers", list(TRACKERS)),
+        ("algorithms", list(ALGORITHMS)),
+    ):
+        print(f"{title}: {', '.join(names)}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,213 @@
+"""Honest comparison: all policies on the same tapes, with intervals.
+
+Episode i of every policy draws its tape from seed + i, so targets, noise, detections and false bearings are the same
+for all; what differs is only where the platforms went. Ratios of means come with paired bootstrap intervals.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap
+from tqdm import tqdm
+
+from agents.pictures import EpisodePaths
+from agents.policy import Policy
+from passive_env.vector_env import PassiveVectorEnv
+
+BLOCK = 1024
+"""Episodes flown at once."""
+
+BASELINES = ("paper", "rule")
+"""Policies that all others are compared with, where they take part."""
+
+COLLAPSE_M = 15e3
+"""A track that is lost and farther off than this has collapsed."""
+
+RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a policy achieved; e episodes, k steps.
+
+    Attributes:
+        range_error_m: [e, k + 1] mean over targets, index 0 before the first decision.
+        range_crlb_m: [e, k + 1] the same of the posterior Cramér–Rao bound.
+        lost, collapsed: [e] share of tracks at the end.
+        decision_time_us: wall time of a decision per step and episode, in batches.
+        paths: the first episode's geometry.
+    """
+
+    range_error_m: np.ndarray
+    range_crlb_m: np.ndarray
+    lost: np.ndarray
+    collapsed: np.ndarray
+    decision_time_us: float
+    paths: EpisodePaths
+
+    @property
+    def final(self) -> np.ndarray:
+        """[e] range error after the last step."""
+        return self.range_error_m[:, -1]
+
+    @property
+    def mean(self) -> np.ndarray:
+        """[e] range error averaged over all steps after decisions."""
+        return self.range_error_m[:, 1:].mean(axis=1)
+
+
+def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any = None) -> Record:
+    """Fly a policy through episodes seed … seed + episodes − 1.
+
+    Args:
+        scenario: what to fly.
+        policy: decides for batches.
+        episodes: number of episodes.
+        seed: of the first episode.
+        progress: a tqdm bar to advance by episodes, if any.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes = {episodes}: must be at least 1")
+    blocks = [_fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)]
+    merged = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0] if name not in ("seconds", "paths")}
+    seconds = sum(block["seconds"] for block in blocks)
+    return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), paths=blocks[0]["paths"])
+
+
+def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
+    env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
+    observation, info = env.reset(seed=seed)
+    errors, bounds = [info["range_error_m"].mean(-1)], [info["range_crlb_m"].mean(-1)]
+    world = env.world
+    stations, estimates = [world.platforms[0, :, :2]], [world.estimate.mean[0, :, :2]]
+    shares = [info["range_error_m"][0]]
+    belief, seconds = env.belief(), 0.0
+    policy.reset(belief)
+    encode = env.simulation.actions.encode
+    for _ in range(scenario.steps):
+        start = time.perf_counter()
+        commands = policy.act(belief, observation)
+        seconds += time.perf_counter() - start
+        observation, _, _, _, info = env.step(encode(commands))
+        belief, world = env.belief(), env.world
+        errors.append(info["range_error_m"].mean(-1))
+        bounds.append(info["range_crlb_m"].mean(-1))
+        stations.append(world.platforms[0, :, :2])
+        estimates.append(world.estimate.mean[0, :, :2])
+        shares.append(info["range_error_m"][0])
+    if progress is not None:
+        progress.update(episodes)
+    targets = world.tape.targets[0, :, :, :2]
+    paths = EpisodePaths(
+        np.array(stations), targets, np.array(estimates), world.estimate.cov[0, :, :2, :2], np.array(shares)
+    )
+    collapsed = info["lost"] & (info["position_error_m"] > COLLAPSE_M)
+    return {
+        "range_error_m": np.array(errors).T,
+        "range_crlb_m": np.array(bounds).T,
+        "lost": info["lost"].mean(-1),
+        "collapsed": collapsed.mean(-1),
+        "seconds": seconds,
+        "paths": paths,
+    }
+
+
+def fly_all(
+    scenario: Any, policies: Mapping[str, Policy], episodes: int, seed: int, progress: bool = True
+) -> dict[str, Record]:
+    """Records of several policies on the same tapes, with a progress bar."""
+    with tqdm(total=episodes * len(policies), unit="episode", disable=not progress, leave=False) as bar:
+        records = {}
+        for name, policy in policies.items():
+            bar.set_description(name)
+            records[name] = fly(scenario, policy, episodes, seed, bar)
+    return records
+
+
+def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dict[str, Any]:
+    """The evaluation as plain data: figures per policy, ratios to the baselines with paired 95 % intervals."""
+    episodes = len(next(iter(records.values())).final)
+    baselines = [name for name in BASELINES if name in records] or [next(iter(records))]
+    return {
+        "environment": environment,
+        "episodes": episodes,
+        "seed": seed,
+        "policies": {name: _figures(record) for name, record in records.items()},
+        "ratios": {
+            base: {name: _ratios(record, records[base]) for name, record in records.items() if name != base}
+            for base in baselines
+        },
+    }
+
+
+def _figures(record: Record) -> dict[str, Any]:
+    return {
+        "final_range_error_m": _statistics(record.final),
+        "mean_range_error_m": _statistics(record.mean),
+        "lost_share": float(record.lost.mean()),
+        "collapse_share": float(record.collapsed.mean()),
+        "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),
+        "decision_time_us": record.decision_time_us,
+    }
+
+
+def _statistics(values: np.ndarray) -> dict[str, float]:
+    return {
+        "mean": float(values.mean()),
+        "median": float(np.median(values)),
+        "rms": float(np.sqrt(np.square(values).mean())),
+        "p95": float(np.percentile(values, 95.0)),
+    }
+
+
+def _ratios(record: Record, base: Record) -> dict[str, Any]:
+    return {
+        "final_range_error_m": ratio_of_means(record.final, base.final),
+        "mean_range_error_m": ratio_of_means(record.mean, base.mean),
+    }
+
+
+def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[str, Any]:
+    """Ratio of two paired samples' means with a percentile bootstrap 95 % interval.
+
+    Args:
+        values, base: [e] of the same episodes.
+        seed: of the resampling.
+    Returns:
+        {"ratio", "ci95": [low, high]}; a single episode has no interval: both ends are the ratio.
+    """
+    ratio = float(values.mean() / base.mean())
+    if len(values) < 2:
+        return {"ratio": ratio, "ci95": [ratio, ratio]}
+    result = bootstrap(
+        (values, base),
+        lambda a, b, axis: a.mean(axis) / b.mean(axis),
+        paired=True,
+        vectorized=True,
+        n_resamples=RESAMPLES,
+        batch=max(1, 2_000_000 // len(values)),
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    low, high = result.confidence_interval
+    return {"ratio": ratio, "ci95": [float(low), float(high)]}
+
+
+def steps_axis(scenario: Any) -> np.ndarray:
+    """Times [k + 1] s of a record's columns."""
+    return scenario.step_s * np.arange(scenario.steps + 1)
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Names made unique by numbering repetitions: learned, learned_2, …"""
+    seen: dict[str, int] = {}
+    unique = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return unique

@@ -1,0 +1,81 @@
+"""Policies that look at nothing: the paper's schedules, straight flight, random turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from agents.policy import Policy
+from passive_env.belief import Belief
+from passive_env.catalogue.two_station import NATURAL
+
+
+class Schedule:
+    """Turn during fixed windows of time at the paper's 5°/s, as far as the scenario's limit allows.
+
+    Args:
+        scenario: supplies step length, number of steps and turn rate limit.
+        windows_s: per platform, time from and to [s].
+        senses: per platform, +1 counter-clockwise, −1 clockwise.
+    """
+
+    def __init__(self, scenario: Any, windows_s: Sequence[tuple[float, float]], senses: Sequence[int]):
+        self._scenario = scenario
+        self._windows = np.array(windows_s, dtype=float)
+        rate = NATURAL.turn_rate_deg_s / max(scenario.max_turn_rate_deg_s, 1e-12)
+        self._command = np.array(senses, dtype=float) * min(rate, 1.0)
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """The share of the coming step that lies in a platform's window, times its command."""
+        begin = ((self._scenario.steps - belief.steps_left) * self._scenario.step_s)[:, None]
+        inside = np.minimum(begin + self._scenario.step_s, self._windows[:, 1]) - np.maximum(begin, self._windows[:, 0])
+        return self._command * np.clip(inside / self._scenario.step_s, 0.0, 1.0)
+
+
+class Straight:
+    """Hold course."""
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Zero turn rate."""
+        return np.zeros_like(belief.last_action)
+
+
+class Random:
+    """Uniform random commands."""
+
+    def __init__(self, seed: int):
+        self._seed = seed
+        self._rng = np.random.default_rng(seed)
+
+    def reset(self, belief: Belief) -> None:
+        """Start the random sequence anew, so that an evaluation can be repeated."""
+        self._rng = np.random.default_rng(self._seed)
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Independent commands in [−1, 1]."""
+        return self._rng.uniform(-1.0, 1.0, belief.last_action.shape)
+
+
+def _paper(scenario: Any, seed: int) -> Policy:
+    return Schedule(scenario, NATURAL.station_turn_s, (1, 1))
+
+
+def _paper_opposed(scenario: Any, seed: int) -> Policy:
+    return Schedule(scenario, NATURAL.station_turn_s, (1, -1))
+
+
+FIXED = {
+    "paper": _paper,
+    "paper_opposed": _paper_opposed,
+    "straight": lambda scenario, seed: Straight(),
+    "random": lambda scenario, seed: Random(seed),
+}
+"""Makers (scenario, seed) of the policies of this file."""

@@ -1,0 +1,96 @@
+"""Trained policies: a run folder's model, checked against the environment it is asked to steer."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from passive_env.belief import Belief
+from passive_env.core import Simulation
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO}
+"""Stable-Baselines3 algorithms by the name `--algo` takes."""
+
+CONFIG, MODEL = "config.json", "model.zip"
+
+
+class LearnedPolicy:
+    """A trained model that steers by its deterministic action.
+
+    Args:
+        run: folder made by ``passive-env train``.
+        environment: id of the environment it shall steer.
+        simulation: that environment's parts.
+    Raises:
+        FileNotFoundError: no such run or model; ValueError: made for another environment or damaged.
+    """
+
+    def __init__(self, run: str | Path, environment: str, simulation: Simulation):
+        config = read_config(Path(run))
+        _check_fit(Path(run), config, environment, simulation)
+        self._model = load_model(Path(run) / MODEL, config["algo"])
+        self._decode = simulation.actions.decode
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, a] of observations [e, d]."""
+        actions, _ = self._model.predict(observation, deterministic=True)
+        return self._decode(actions, len(observation))
+
+
+def read_config(run: Path) -> dict[str, Any]:
+    """A run folder's resolved configuration.
+
+    Raises:
+        FileNotFoundError: not a run folder; ValueError: unreadable.
+    """
+    file = run / CONFIG
+    if not file.is_file():
+        raise FileNotFoundError(f"{run}: no {CONFIG} in it; a run folder is made by 'passive-env train --out {run}'")
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
+
+
+def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
+    """A saved model.
+
+    Raises:
+        FileNotFoundError: missing; ValueError: damaged file or unknown algorithm.
+    """
+    if algo not in ALGORITHMS:
+        raise ValueError(f"unknown algorithm {algo!r}: known are {', '.join(ALGORITHMS)}")
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: no such model; has the training run been finished?")
+    try:
+        return ALGORITHMS[algo].load(file, device=options.pop("device", "cpu"), **options)
+    except (zipfile.BadZipFile, ValueError, KeyError, RuntimeError, EOFError, AttributeError, OSError, TypeError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"{file}: damaged or not a saved {algo} model ({reason}); restore it or train again") from error
+
+
+def observation_digest(simulation: Simulation) -> str:
+    """Fingerprint of the observation's fields and the action space: a model fits only where they are the same."""
+    names = "|".join(f"{f.name},{f.unit},{f.scale}" for f in simulation.observation.fields)
+    return hashlib.sha256(f"{names}|{simulation.actions.space}".encode()).hexdigest()[:16]
+
+
+def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: Simulation) -> None:
+    made_for = config.get("environment")
+    if made_for != environment:
+        raise ValueError(f"{run}: its model was made for {made_for}, not for {environment}; train one with --env {environment}")
+    if config.get("observation_digest") != observation_digest(simulation):
+        raise ValueError(
+            f"{run}: its model was made for other observations or actions of {environment} than this scenario has "
+            f"(number of targets, action kind, or another version of the package); train again"
+        )

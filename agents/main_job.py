@@ -1,0 +1,100 @@
+"""The jobs behind the commands: train and compare, evaluate, print."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation import fly_all, summarize, unique_names
+from agents.learned import CONFIG, LearnedPolicy
+from agents.policy import Policy, make_policy, policy_names
+from agents.report import as_markdown, write_evaluation
+from passive_env.catalogue import environment_id, make_scenario, scenario_name
+from passive_env.core import Simulation
+
+HELD_OUT = "held-out"
+FINAL_SEED = 1_000_000
+"""Seed of the first episode of final evaluations."""
+
+
+def train_and_compare(
+    env: str, algo: str, timesteps: int | None, seed: int, envs: int | None, device: str, out: Path | None,
+    resume: bool, episodes: int, flights: str,
+) -> Path:  # fmt: skip
+    """The main job; returns the run folder. Arguments as in `agents.cli.Train`."""
+    from agents.training import plan, train
+
+    name = scenario_name(env)
+    flown_by(name, flights)  # a bad file must fail before the training, not after it
+    folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
+    run = plan(name, folder, algo, seed, device, timesteps, envs)
+    begin = time.perf_counter()
+    train(run, resume)
+    print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
+    policies = (*policy_names(), str(folder))
+    compare(env, policies, (), episodes, FINAL_SEED, None, folder)
+    compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights")
+    return folder
+
+
+def compare(
+    env: str, policies: Sequence[str], trackers: Sequence[str], episodes: int, seed: int, flights: str | None, out: Path
+) -> dict[str, Any]:
+    """Evaluate policies (crossed with trackers, if any are named), write the files and print the table.
+
+    Arguments as in `agents.cli.Evaluate`; returns the summary.
+    """
+    name = scenario_name(env)
+    if not policies:
+        raise ValueError("no policies to compare: name some after --policies")
+    base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
+    scenarios = {tracker: base.replace(tracker=tracker) for tracker in trackers} or {"": base}
+    teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
+    summaries = {}
+    for tracker, scenario in scenarios.items():
+        records = fly_all(scenario, teams[tracker], episodes, seed)
+        summary = summarize(environment_id(name), seed, records)
+        summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights}
+        folder = out / tracker if len(scenarios) > 1 else out
+        write_evaluation(folder, summary, records, scenario)
+        print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
+        summaries[tracker] = summary
+    return summaries if len(summaries) > 1 else next(iter(summaries.values()))
+
+
+def flown_by(name: str, flights: str) -> Any:
+    """The scenario with recorded flights as targets: a file, or the held-out part of the shipped one.
+
+    Raises:
+        FileNotFoundError, ValueError: no such file, or nothing usable in it.
+    """
+    source = {"flight_split": "test"} if flights == HELD_OUT else {"flight_split": "all", "flights": flights}
+    scenario = make_scenario(name, {"course": "flights", **source})
+    scenario.check_flights()
+    return scenario
+
+
+def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
+    known = policy_names()
+    labels = unique_names([name if name in known else "learned" for name in names])
+    return {label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)}
+
+
+def _make_policy(name: str, scenario_name_: str, scenario: Any, known: Sequence[str]) -> Policy:
+    if name in known or not (Path(name).is_dir() or (Path(name) / CONFIG).exists()):
+        return make_policy(name, scenario)
+    return LearnedPolicy(name, environment_id(scenario_name_), Simulation(scenario))
+
+
+def _free_folder(folder: Path, resume: bool) -> Path:
+    """The folder itself, or numbered so that no earlier run is touched."""
+    if resume:
+        raise ValueError("--resume needs --out with the folder of the run to go on with")
+    number = 1
+    candidate = folder
+    while candidate.exists():
+        number += 1
+        candidate = folder.with_name(f"{folder.name}-{number}")
+    return candidate

@@ -1,0 +1,88 @@
+"""What an evaluation leaves behind: JSON, CSV, Markdown and pictures, none of them ever half-written."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from agents import pictures
+from agents.evaluation import Record, steps_axis
+from agents.files import atomic_write, save_figure, write_json, write_text
+
+METRICS = ("final_range_error_m", "mean_range_error_m")
+
+
+def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, Record], scenario: Any) -> list[Path]:
+    """Write ``evaluation.json``, ``.csv``, ``.md`` and the pictures into a folder; returns the files."""
+    title = f"{summary['environment']}, {summary['episodes']} episodes"
+    times = steps_axis(scenario)
+    over_time = pictures.range_error_over_time(
+        times,
+        {name: record.range_error_m.mean(0) for name, record in records.items()},
+        {name: record.range_crlb_m.mean(0) for name, record in records.items()},
+        title,
+    )
+    geometry = pictures.geometry({name: record.paths for name, record in records.items()}, f"{title}: the first one")
+    return [
+        write_json(out / "evaluation.json", summary),
+        atomic_write(out / "evaluation.csv", as_csv(summary)),
+        write_text(out / "evaluation.md", as_markdown(summary)),
+        save_figure(out / "range_error_over_time.png", over_time),
+        save_figure(out / "geometry.png", geometry),
+    ]
+
+
+def as_csv(summary: Mapping[str, Any]) -> str:
+    """One row per policy, one column per figure."""
+    rows = [{"policy": name, **_flatten(figures)} for name, figures in summary["policies"].items()]
+    for row in rows:
+        for base, ratios in summary["ratios"].items():
+            for metric in METRICS:
+                ratio = ratios.get(row["policy"], {}).get(metric)
+                low, high = ratio["ci95"] if ratio else (None, None)
+                name = f"{metric}_over_{base}"
+                row |= {name: ratio and ratio["ratio"], f"{name}_low": low, f"{name}_high": high}
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, fieldnames=list(rows[0]))
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()
+
+
+def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in figures.items():
+        flat |= {f"{name}_{key}": v for key, v in value.items()} if isinstance(value, Mapping) else {name: value}
+    return flat
+
+
+def as_markdown(summary: Mapping[str, Any]) -> str:
+    """The comparison as a table: errors in metres, ratios of means with 95 % intervals."""
+    bases = list(summary["ratios"])
+    head = ["policy", "final mean", "median", "p95", "time average", "bound", "lost", "µs/decision"]
+    head += [f"final / {base}" for base in bases]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for name, figures in summary["policies"].items():
+        final, mean = figures["final_range_error_m"], figures["mean_range_error_m"]
+        cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
+        cells += [f"{figures['final_range_crlb_m']:.0f}", f"{100 * figures['lost_share']:.2f} %"]
+        cells += [f"{figures['decision_time_us']:.2f}"]
+        cells += [_ratio_cell(summary["ratios"][base].get(name)) for base in bases]
+        lines.append("| " + " | ".join(cells) + " |")
+    note = (
+        f"{summary['environment']}: range error in metres over {summary['episodes']} paired episodes from seed "
+        f"{summary['seed']}, mean over targets. Bound: posterior Cramér–Rao bound at the end, mean. Ratios are of "
+        "means, with paired bootstrap 95 % intervals."
+    )
+    return "\n".join([*lines, "", note])
+
+
+def _ratio_cell(ratios: Mapping[str, Any] | None) -> str:
+    if ratios is None:
+        return "1"
+    ratio = ratios["final_range_error_m"]
+    low, high = ratio["ci95"]
+    return f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]"

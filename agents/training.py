@@ -1,0 +1,286 @@
+"""Training with Stable-Baselines3: checkpoints, exact resume, TensorBoard, progress bar, evaluation on the way.
+
+At every checkpoint the environment, torch and NumPy are seeded anew from (seed, steps so far). A run that was killed
+and resumed therefore ends with the same model as one that was not: what lies between two checkpoints depends on the
+saved model and that seed only.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import random
+import shutil
+import subprocess
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from agents.evaluation import fly
+from agents.files import write_json
+from agents.learned import ALGORITHMS, CONFIG, MODEL, load_model, observation_digest, read_config
+from agents.policy import make_policy
+from agents.presets import load_preset
+from agents.sb3 import Sb3VecEnv
+from passive_env.catalogue import environment_id, make_scenario
+from passive_env.core import Simulation
+from passive_env.vector_env import PassiveVectorEnv
+
+CHECKPOINT = "checkpoint.zip"
+EVALUATION_EPISODES = 256
+EVALUATION_SEED = 2_000_000_000
+"""Seeds of the evaluation on the way; far from training's and from the final evaluation's."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training run, resolved.
+
+    Attributes:
+        folder: where everything goes.
+        scenario_name: catalogue name.
+        fields: scenario fields given by the user; they hold in training and evaluation.
+        algo, seed, device, timesteps, envs: as on the command line.
+        preset: the rest (`agents.presets`).
+    """
+
+    folder: Path
+    scenario_name: str
+    fields: dict[str, Any]
+    algo: str
+    seed: int
+    device: str
+    timesteps: int
+    envs: int
+    preset: dict[str, Any]
+
+    @property
+    def scenario(self) -> Any:
+        """The scenario that is evaluated."""
+        return make_scenario(self.scenario_name, self.fields)
+
+    @property
+    def training_scenario(self) -> Any:
+        """The same with the preset's rewards."""
+        return make_scenario(self.scenario_name, {**self.preset.get("scenario", {}), **self.fields})
+
+    def to_dict(self) -> dict[str, Any]:
+        """What is saved beside the model."""
+        return {
+            "environment": environment_id(self.scenario_name),
+            "observation_digest": observation_digest(Simulation(self.scenario)),
+            "algo": self.algo,
+            "seed": self.seed,
+            "device": self.device,
+            "timesteps": self.timesteps,
+            "envs": self.envs,
+            "fields": self.fields,
+            "preset": self.preset,
+            "scenario": self.scenario.to_dict(),
+            "versions": versions(),
+            "commit": commit(),
+        }
+
+
+def plan(
+    scenario_name: str, folder: Path, algo: str = "ppo", seed: int = 0, device: str = "cpu",
+    timesteps: int | None = None, envs: int | None = None, fields: dict[str, Any] | None = None,
+) -> Run:  # fmt: skip
+    """Resolve a run: what is not given comes from the preset.
+
+    Raises:
+        ValueError: unknown algorithm, or numbers that are not positive.
+    """
+    if algo not in ALGORITHMS:
+        raise ValueError(f"--algo {algo}: must be one of {', '.join(ALGORITHMS)}")
+    preset = load_preset(scenario_name, algo)
+    chosen = {"timesteps": timesteps or preset["timesteps"], "envs": envs or preset["envs"]}
+    for name, value in chosen.items():
+        if value < 1:
+            raise ValueError(f"--{name} {value}: must be at least 1")
+    return Run(folder, scenario_name, fields or {}, algo, seed, device, **chosen, preset=preset)
+
+
+def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
+    """Train and leave ``model.zip``, ``config.json`` and TensorBoard logs in the run's folder.
+
+    Args:
+        run: what to train.
+        resume: go on from the folder's checkpoint; the run must be the one that was begun there.
+        progress: show a progress bar.
+    Returns:
+        the model's file.
+    Raises:
+        FileExistsError: the folder exists and `resume` is False.
+        FileNotFoundError, ValueError: nothing to resume, another run's folder, or a damaged checkpoint.
+    """
+    if resume:
+        _check_same_run(run)
+    elif run.folder.exists() and any(run.folder.iterdir()):
+        raise FileExistsError(f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it")
+    torch.set_num_threads(run.preset.get("torch_threads", 1))
+    env = Sb3VecEnv(
+        PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
+    )
+    model = _load_checkpoint(run, env) if resume and (run.folder / CHECKPOINT).exists() else _new_model(run, env)
+    if not resume:
+        write_json(run.folder / CONFIG, run.to_dict())
+    left = run.timesteps - model.num_timesteps
+    if left > 0:
+        model.learn(left, callback=Checkpoints(run), reset_num_timesteps=False, progress_bar=progress, tb_log_name="log")
+    save_model(model, run.folder / MODEL)
+    env.close()
+    return run.folder / MODEL
+
+
+def save_model(model: BaseAlgorithm, file: Path) -> None:
+    """Save a model whole or not at all."""
+    neighbour = file.with_name(f".{file.stem}.{os.getpid()}.tmp.zip")
+    model.save(neighbour)
+    os.replace(neighbour, file)
+
+
+class Checkpoints(BaseCallback):
+    """Between rollouts: every so many, save a checkpoint, evaluate, and seed everything anew."""
+
+    def __init__(self, run: Run):
+        super().__init__()
+        self._run = run
+        self._every = run.preset.get("checkpoint_rollouts", 20) * rollout_steps(run)
+        self._next = 0
+        self._references: dict[str, float] = {}
+
+    def _on_training_start(self) -> None:
+        self._next = self.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        if self.num_timesteps < self._next:
+            return
+        if self.num_timesteps > 0:
+            self._evaluate()
+            save_model(self.model, self._run.folder / CHECKPOINT)
+        self._next = self.num_timesteps + self._every
+        reseed(self.model, self._run.seed + self.num_timesteps)
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        final = [info["final_range_error_m"] for info in self.model.ep_info_buffer or [] if "final_range_error_m" in info]
+        if final:
+            self.logger.record("rollout/final_range_error_m", float(np.mean(final)))
+
+    def _evaluate(self) -> None:
+        """Mean final range error on fixed tapes, and its ratio to the paper's schedule and the rule."""
+        scenario = self._run.scenario
+        if not self._references:
+            for name in ("paper", "rule"):
+                record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
+                self._references[name] = float(record.final.mean())
+        record = fly(scenario, _Current(self.model, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
+        error = float(record.final.mean())
+        self.logger.record("eval/final_range_error_m", error)
+        for name, reference in self._references.items():
+            self.logger.record(f"eval/ratio_to_{name}", error / reference)
+
+
+class _Current:
+    """The model in training as a policy."""
+
+    def __init__(self, model: BaseAlgorithm, scenario: Any):
+        self._model = model
+        self._decode = Simulation(scenario).actions.decode
+
+    def reset(self, belief: Any) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Any, observation: np.ndarray) -> np.ndarray:
+        """Deterministic commands."""
+        return self._decode(self._model.predict(observation, deterministic=True)[0], len(observation))
+
+
+def reseed(model: BaseAlgorithm, seed: int) -> None:
+    """Seed torch, NumPy, Python and the environment, and begin new episodes."""
+    torch.manual_seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002  Stable-Baselines3 shuffles minibatches with the global generator
+    random.seed(seed)
+    env = model.get_env()
+    assert env is not None
+    env.seed(seed)
+    model._last_obs = env.reset()
+    model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+
+
+def rollout_steps(run: Run) -> int:
+    """Environment steps of one rollout: whole episodes of all environments."""
+    return run.scenario.steps * run.envs
+
+
+def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+    preset = run.preset
+    rate = preset["learning_rate"]
+    return ALGORITHMS[run.algo](
+        "MlpPolicy",
+        env,
+        seed=run.seed,
+        device=run.device,
+        learning_rate=LinearDecay(rate),
+        n_steps=run.scenario.steps,
+        policy_kwargs={"net_arch": list(preset["net_arch"]), **preset.get("policy", {})},
+        tensorboard_log=str(run.folder / "tensorboard"),
+        **{**preset.get("arguments", {}), "batch_size": min(preset["arguments"]["batch_size"], rollout_steps(run))},
+    )
+
+
+class LinearDecay:
+    """Learning rate that falls linearly to 2 % of its start."""
+
+    def __init__(self, start: float):
+        self.start = start
+
+    def __call__(self, progress_remaining: float) -> float:
+        """Rate when this share of the training is left."""
+        return self.start * max(progress_remaining, 0.02)
+
+
+def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+    return load_model(run.folder / CHECKPOINT, run.algo, env=env, device=run.device)
+
+
+def _check_same_run(run: Run) -> None:
+    begun = read_config(run.folder)
+    now = run.to_dict()
+    for name in ("environment", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset"):
+        if begun.get(name) != now[name]:
+            raise ValueError(
+                f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"
+            )
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that decides a result."""
+    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
+    return {"python": platform.python_version(), **{name: _version(name) for name in names}}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def commit() -> str | None:
+    """Commit of the source tree this runs from, if it is one and git is there."""
+    git = shutil.which("git")
+    if git is None:
+        return None
+    here = Path(__file__).resolve().parent
+    done = subprocess.run([git, "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or None
