@@ -46,6 +46,8 @@ class TurnApart:
 
 RULES = {
     "rule": lambda scenario, seed: TurnApart(scenario, 60.0, 80.0),
+    "rule_tuned": lambda scenario, seed: TurnApart(scenario, 70.0, 70.0),
     "rule_perpendicular": lambda scenario, seed: TurnApart(scenario, 90.0, 90.0),
 }
-"""Makers (scenario, seed). `rule` is the better of the two variants in the mean final range error."""
+"""Makers (scenario, seed). `rule` is the specification's variant, the better one than perpendicular in the mean final
+range error; `rule_tuned` is the best of a grid of angles from 45° to 90°, tuned on seeds that no evaluation uses."""

@@ -36,6 +36,11 @@ helper = numba.njit(error_model="numpy")
 """Decorator of small scalar functions that kernels call; LLVM inlines them."""
 
 
+FIXED = {"x": 4, "p": 2}
+"""Axis names of a fixed length in every layout: the planar state and the planar position. Compiled code indexes
+these axes without bounds checks, so `Kernel` refuses other lengths."""
+
+
 def kernel(layout: str, dtypes: str = "") -> Callable[[Callable[..., None]], Kernel]:
     """Make a lazily compiled generalised ufunc of a function written for one item.
 
@@ -55,11 +60,21 @@ class Kernel:
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
         self._function = function
+        self._fixed = _fixed_axes(self.layout)
         self._owner: Any = None
         self._gufunc: Any = None
 
     def __call__(self, *arrays: Any, **options: Any) -> Any:
-        """Apply to arrays of shape [..., core]; leading axes broadcast."""
+        """Apply to arrays of shape [..., core]; leading axes broadcast.
+
+        Raises:
+            ValueError: trailing axes that do not fit the layout.
+        """
+        for place, axis, size in self._fixed:
+            shape = np.shape(arrays[place])
+            if len(shape) < -axis or shape[axis] != size:
+                name = self.__name__.lstrip("_")
+                raise ValueError(f"{name}: argument {place} has shape {shape}, axis {axis} must have length {size}")
         if self._gufunc is None:
             with _COMPILING, _own_cache():
                 self._compile()
@@ -81,9 +96,31 @@ class Kernel:
         self._gufunc = self._owner.ufunc  # the owner keeps the machine code alive
 
 
+def _fixed_axes(layout: str) -> list[tuple[int, int, int]]:
+    """(argument, axis from the end, length) of one input per fixed axis name; NumPy holds the other inputs to it."""
+    inputs = re.findall(r"\(([^)]*)\)", layout.split("->")[0])
+    found = {}
+    for place, core in enumerate(inputs):
+        names = core.split(",")
+        for at, name in enumerate(names):
+            if name in FIXED:
+                found.setdefault(name, (place, at - len(names), FIXED[name]))
+    return list(found.values())
+
+
 def _array(letter: str, rank: int) -> Any:
     scalar = _TYPES[letter]
     return scalar if rank == 0 else scalar[(slice(None),) * rank]
+
+
+def _sources_digest() -> str:
+    """Fingerprint of all sources of the packages that hold kernels."""
+    here = Path(__file__).resolve().parent
+    sources = sorted(path for folder in (here, here.parent / "passive_env") for path in folder.rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+
+
+_DIGEST = _sources_digest()  # at import, before anyone edits a source that is already loaded
 
 
 @lru_cache(maxsize=1)
@@ -91,11 +128,9 @@ def _cache_folder() -> str:
     """Folder of machine code made from exactly these sources.
 
     Numba's own cache notices a change of the kernel's file only, not one of a helper inlined from another file, so
-    the folder's name carries a digest of all sources of the packages that hold kernels.
+    the folder's name carries a digest of all sources.
     """
     here = Path(__file__).resolve().parent
-    sources = sorted(path for folder in (here, here.parent / "passive_env") for path in folder.rglob("*.py"))
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     beside = here / "__pycache__"
     if numba.config.CACHE_DIR:
         base = Path(numba.config.CACHE_DIR)
@@ -103,7 +138,7 @@ def _cache_folder() -> str:
         base = beside
     else:
         base = Path.home() / ".cache" / "passive-env"
-    return str(base / f"kernels-{digest}")
+    return str(base / f"kernels-{_DIGEST}")
 
 
 @contextlib.contextmanager

@@ -15,6 +15,10 @@ from trackers.linalg import LOG_TWO_PI
 MIN_RANGE_SQUARED = 1.0
 """A track that comes closer than 1 m to a station is linearised at 1 m: the Jacobian stays finite."""
 
+NOISE_FLOOR = 1e-13
+"""A bearing's noise variance counts as at least this share of HPHᵀ: a sharper posterior than rounding can hold would
+leave P indefinite. Met only by tracks some metres from a station with errors of tens of kilometres."""
+
 
 class BearingUpdate(NamedTuple):
     """Result of conditioning a track on one bearing.
@@ -64,14 +68,15 @@ def update_in_place(x, P, z, sx, sy, var):
     p00, p01, p02, p03 = P[0, 0], P[0, 1], P[0, 2], P[0, 3]
     p11, p12, p13, p22, p23, p33 = P[1, 1], P[1, 2], P[1, 3], P[2, 2], P[2, 3], P[3, 3]
     f0, f1, f2, f3 = a * p00 + b * p01, a * p01 + b * p11, a * p02 + b * p12, a * p03 + b * p13
-    S = a * f0 + b * f1 + var
+    hph = a * f0 + b * f1
+    var = max(var, NOISE_FLOOR * hph)
+    S = hph + var
     k0, k1, k2, k3 = f0 / S, f1 / S, f2 / S, f3 / S
     x[0] += k0 * nu
     x[1] += k1 * nu
     x[2] += k2 * nu
     x[3] += k3 * nu
     # With f = PHᵀ and g = σ²K − (I − KH)PHᵀ the Joseph form is P − K fᵀ + g Kᵀ.
-    hph = a * f0 + b * f1
     g0, g1 = var * k0 - (f0 - k0 * hph), var * k1 - (f1 - k1 * hph)
     g2, g3 = var * k2 - (f2 - k2 * hph), var * k3 - (f3 - k3 * hph)
     P[0, 0] = p00 - k0 * f0 + g0 * k0

@@ -1,0 +1,7 @@
+"""Published results repeated: one package per paper, each with the same form (`report`): tables, claims, verdicts."""
+
+from __future__ import annotations
+
+from agents.reproduction.two_station import print_report, reproduce_two_station
+
+__all__ = ["print_report", "reproduce_two_station"]
