@@ -73,8 +73,14 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
     """
     if episodes < 1:
         raise ValueError(f"episodes = {episodes}: must be at least 1")
-    blocks = [_fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)]
-    merged = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0] if name not in ("seconds", "paths")}
+    blocks = [
+        _fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)
+    ]
+    merged = {
+        name: np.concatenate([block[name] for block in blocks])
+        for name in blocks[0]
+        if name not in ("seconds", "paths")
+    }
     seconds = sum(block["seconds"] for block in blocks)
     return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), paths=blocks[0]["paths"])
 

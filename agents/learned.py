@@ -74,9 +74,20 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
         raise FileNotFoundError(f"{file}: no such model; has the training run been finished?")
     try:
         return ALGORITHMS[algo].load(file, device=options.pop("device", "cpu"), **options)
-    except (zipfile.BadZipFile, ValueError, KeyError, RuntimeError, EOFError, AttributeError, OSError, TypeError) as error:
+    except (
+        zipfile.BadZipFile,
+        ValueError,
+        KeyError,
+        RuntimeError,
+        EOFError,
+        AttributeError,
+        OSError,
+        TypeError,
+    ) as error:
         reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"{file}: damaged or not a saved {algo} model ({reason}); restore it or train again") from error
+        raise ValueError(
+            f"{file}: damaged or not a saved {algo} model ({reason}); restore it or train again"
+        ) from error
 
 
 def observation_digest(simulation: Simulation) -> str:
@@ -88,7 +99,9 @@ def observation_digest(simulation: Simulation) -> str:
 def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: Simulation) -> None:
     made_for = config.get("environment")
     if made_for != environment:
-        raise ValueError(f"{run}: its model was made for {made_for}, not for {environment}; train one with --env {environment}")
+        raise ValueError(
+            f"{run}: its model was made for {made_for}, not for {environment}; train one with --env {environment}"
+        )
     if config.get("observation_digest") != observation_digest(simulation):
         raise ValueError(
             f"{run}: its model was made for other observations or actions of {environment} than this scenario has "

@@ -79,7 +79,9 @@ def flown_by(name: str, flights: str) -> Any:
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     known = policy_names()
     labels = unique_names([name if name in known else "learned" for name in names])
-    return {label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)}
+    return {
+        label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)
+    }
 
 
 def _make_policy(name: str, scenario_name_: str, scenario: Any, known: Sequence[str]) -> Policy:

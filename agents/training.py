@@ -123,7 +123,9 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     if resume:
         _check_same_run(run)
     elif run.folder.exists() and any(run.folder.iterdir()):
-        raise FileExistsError(f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it")
+        raise FileExistsError(
+            f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it"
+        )
     torch.set_num_threads(run.preset.get("torch_threads", 1))
     env = Sb3VecEnv(
         PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
@@ -133,7 +135,9 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
         write_json(run.folder / CONFIG, run.to_dict())
     left = run.timesteps - model.num_timesteps
     if left > 0:
-        model.learn(left, callback=Checkpoints(run), reset_num_timesteps=False, progress_bar=progress, tb_log_name="log")
+        model.learn(
+            left, callback=Checkpoints(run), reset_num_timesteps=False, progress_bar=progress, tb_log_name="log"
+        )
     save_model(model, run.folder / MODEL)
     env.close()
     return run.folder / MODEL
@@ -172,7 +176,9 @@ class Checkpoints(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        final = [info["final_range_error_m"] for info in self.model.ep_info_buffer or [] if "final_range_error_m" in info]
+        final = [
+            info["final_range_error_m"] for info in self.model.ep_info_buffer or [] if "final_range_error_m" in info
+        ]
         if final:
             self.logger.record("rollout/final_range_error_m", float(np.mean(final)))
 
@@ -207,14 +213,15 @@ class _Current:
 
 def reseed(model: BaseAlgorithm, seed: int) -> None:
     """Seed torch, NumPy, Python and the environment, and begin new episodes."""
+    learner: Any = model  # the two underscored attributes hold what the next rollout starts from
     torch.manual_seed(seed)
     np.random.seed(seed % 2**32)  # noqa: NPY002  Stable-Baselines3 shuffles minibatches with the global generator
     random.seed(seed)
     env = model.get_env()
     assert env is not None
     env.seed(seed)
-    model._last_obs = env.reset()
-    model._last_episode_starts = np.ones(env.num_envs, dtype=bool)
+    learner._last_obs = env.reset()
+    learner._last_episode_starts = np.ones(env.num_envs, dtype=bool)
 
 
 def rollout_steps(run: Run) -> int:
@@ -225,7 +232,8 @@ def rollout_steps(run: Run) -> int:
 def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     preset = run.preset
     rate = preset["learning_rate"]
-    return ALGORITHMS[run.algo](
+    algorithm: Any = ALGORITHMS[run.algo]
+    return algorithm(
         "MlpPolicy",
         env,
         seed=run.seed,

@@ -1,4 +1,4 @@
-"""Gymnasium environments in which real passive-sensor trackers run and reward goes to maneuvers that reduce range error.
+"""Gymnasium environments in which real passive-sensor trackers run and reward goes to maneuvers that help them.
 
 Importing this package registers the environments ``passive/…-v0``.
 """

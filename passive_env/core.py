@@ -23,6 +23,8 @@ from trackers.gaussian import Gaussian
 PRIOR_RANGE_STD_M = 15e3
 PRIOR_VELOCITY_STD_M_S = 200.0
 """Prior of the Cramér–Rao bound at the first scan, as in the specification of Xiu et al. (2002), section 10."""
+PRIOR_BEARING_STD_RAD = 10.0
+"""Nothing is known across the line of sight before the first scan; its bearings are counted once, as every scan's."""
 
 
 class World(NamedTuple):
@@ -74,9 +76,9 @@ class Simulation:
         estimate = self.tracker.estimate(state)
         stations = tape.platforms.shape[1]
         prior = bound_prior(
-            truth, tape.platforms[:, None, -1, :2], self._bound_std, PRIOR_RANGE_STD_M, PRIOR_VELOCITY_STD_M_S
+            truth, tape.platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, PRIOR_RANGE_STD_M, PRIOR_VELOCITY_STD_M_S
         )
-        bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0)
+        bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0, self._std)
         return World(
             step, tape.platforms, tape, state, estimate,
             np.ones((batch, targets, stations), dtype=bool), scan.valid.sum(-1),
@@ -91,7 +93,7 @@ class Simulation:
         sighting = sense(world.tape, step, platforms, self._std)
         update = self.tracker.update(self.tracker.predict(world.track_state, scenario.step_s), sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
-        bound, metrics = self._measure(estimate, sighting.truth, world.bound, platforms, scenario.step_s)
+        bound, metrics = self._measure(estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std)
         assigned = _all_stations(update.assignment >= 0, platforms.shape[1])
         returns = np.add.reduce(sighting.scan.valid, axis=-1)
         new = World(
@@ -117,10 +119,10 @@ class Simulation:
         """[e] bool: the episode's last decision has been taken."""
         return world.step >= self.scenario.steps
 
-    def _measure(self, estimate, truth, bound, platforms, step_s):
+    def _measure(self, estimate, truth, bound, platforms, step_s, std):
         s = self.scenario
         return measure(
-            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, self._bound_std, self._all_stations,
+            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, std, self._all_stations,
             s.lost_error_m, s.lost_nees,
         )  # fmt: skip
 

@@ -69,7 +69,7 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
             self._viewer.clear()
         if self.render_mode == "human":
             self.render()
-        zeros = {name: 0.0 for name in self.scenario.reward_weights}
+        zeros = dict.fromkeys(self.scenario.reward_weights, 0.0)
         return self._observation(), self._info(zeros)
 
     def step(self, action: Any):

@@ -140,7 +140,9 @@ def _fields(stations: int, targets: int, actions: int):
         yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive")
         for s in range(stations - 1):
             yield Field(f"{name}.log_range{s}", "m", f"log(range from platform {s} / 50 km)")
-            yield Field(f"{name}.crossing_sin{s}", "1", f"sine of the angle from the reference's to platform {s}'s line")
+            yield Field(
+                f"{name}.crossing_sin{s}", "1", f"sine of the angle from the reference's to platform {s}'s line"
+            )
         axes = ("radial", "cross", "radial_velocity", "cross_velocity")
         for axis in axes:
             unit, size = ("m/s", "50 m/s") if "velocity" in axis else ("m", "1 km")

@@ -34,8 +34,7 @@ class Sighting(NamedTuple):
 def _sense(targets, noise, detected, false_bearings, false_count, order, k, platforms, std, in_order,
            bearings, valid, origin, truth):  # fmt: skip
     truth[:] = targets[k]
-    n_stations, n_slots = bearings.shape
-    for s in range(n_stations):
+    for s in range(bearings.shape[0]):
         valid[s, :] = False
         origin[s, :] = -1
         bearings[s, :] = 0.0

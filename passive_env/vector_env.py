@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -34,7 +34,7 @@ class PassiveVectorEnv(VectorEnv):
         **fields: scenario fields to override.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 8}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 8}  # noqa: RUF012  copied, never changed
 
     def __init__(
         self,
@@ -48,6 +48,8 @@ class PassiveVectorEnv(VectorEnv):
     ):
         if not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs = {num_envs!r}: must be a positive integer")
+        if threads is not None and (not isinstance(threads, int) or threads < 1):
+            raise ValueError(f"threads = {threads!r}: must be a positive integer or None")
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise ValueError(f"render_mode = {render_mode!r}: must be None or 'rgb_array'")
         if max_episode_steps is not None:
@@ -77,7 +79,9 @@ class PassiveVectorEnv(VectorEnv):
         """The true world of all sub-environments; for evaluation and pictures, never for policies."""
         if self._worlds is None:
             raise gym.error.ResetNeeded("call reset() before step(), render() or belief()")
-        return map_rows(lambda *parts: np.concatenate(parts), *self._worlds) if len(self._worlds) > 1 else self._worlds[0]
+        return (
+            map_rows(lambda *parts: np.concatenate(parts), *self._worlds) if len(self._worlds) > 1 else self._worlds[0]
+        )
 
     def belief(self) -> Belief:
         """What the operators of all sub-environments know now."""
@@ -116,11 +120,12 @@ class PassiveVectorEnv(VectorEnv):
         self._done = truncated.copy()
         observation, info = self._observe(), self._info(terms)
         if self.autoreset_mode == AutoresetMode.SAME_STEP and truncated.any():
-            info |= {"final_obs": observation, "_final_obs": truncated.copy()}
-            info = self._with_final_info(info, truncated)
+            final = {"final_obs": observation, "final_info": info}
+            final |= {f"_{name}": truncated.copy() for name in final}
             self._restart(truncated)
             self._done = np.zeros(self.num_envs, dtype=bool)
-            observation = self._observe()
+            terms = {name: np.where(truncated, 0.0, term) for name, term in terms.items()}
+            observation, info = self._observe(), self._info(terms) | final
         return observation, reward, np.zeros(self.num_envs, dtype=bool), truncated, info
 
     def render(self):
@@ -142,7 +147,9 @@ class PassiveVectorEnv(VectorEnv):
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         if not isinstance(mask, np.ndarray) or mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
-            raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},) with at least one True, got {mask!r}")
+            raise ValueError(
+                f"reset_mask must be a bool array of shape ({self.num_envs},) with at least one True, got {mask!r}"
+            )
         return mask
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: np.ndarray) -> None:
@@ -152,6 +159,8 @@ class PassiveVectorEnv(VectorEnv):
             seeds: list[int | None] = [first + i for i in range(self.num_envs)]
         elif seed is None:
             return
+        elif not isinstance(seed, Sequence):
+            raise ValueError(f"seed = {seed!r}: must be an integer, None or a list of {self.num_envs} of these")
         else:
             seeds = list(seed)
             if len(seeds) != self.num_envs:
@@ -183,7 +192,9 @@ class PassiveVectorEnv(VectorEnv):
         reward = np.zeros(self.num_envs)
         if not fresh.all():
             steps = self.blocks.map(
-                lambda rows, world: self.simulation.advance(_hold(world, fresh[rows], self.scenario.steps), commands[rows]),
+                lambda rows, world: self.simulation.advance(
+                    _hold(world, fresh[rows], self.scenario.steps), commands[rows]
+                ),
                 self.blocks.slices,
                 self._worlds,
             )
@@ -206,11 +217,6 @@ class PassiveVectorEnv(VectorEnv):
         info: dict[str, Any] = {name: np.concatenate(parts) for name, parts in zip(fields, columns, strict=True)}
         info["reward_terms"] = terms
         return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in (*fields, "reward_terms")}
-
-    def _with_final_info(self, info: dict[str, Any], finished: np.ndarray) -> dict[str, Any]:
-        """Info whose finished rows describe the new episode's start, the last step's info beside it."""
-        final = {name: value for name, value in info.items() if "final_obs" not in name}
-        return info | {"final_info": final, "_final_info": finished.copy()}
 
 
 def _hold(world: World, fresh: np.ndarray, steps: int) -> World:

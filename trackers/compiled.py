@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import os
 import re
 import threading
@@ -24,10 +25,12 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from filelock import FileLock
+from numba.core import config as numba_config
 
 T = TypeVar("T")
 
 _COMPILING = threading.RLock()
+_CONFIG: Any = numba_config  # holds the folder where numba looks for cached machine code
 
 _TYPES = {"f": numba.float64, "i": numba.int64, "b": numba.boolean, "g": numba.float32}
 
@@ -46,7 +49,8 @@ def kernel(layout: str, dtypes: str = "") -> Callable[[Callable[..., None]], Ker
 
     Args:
         layout: NumPy gufunc signature, e.g. ``"(n,x),(n,x,x),()->(n,x)"``.
-        dtypes: one letter per argument, outputs last (``f`` float64, ``g`` float32, ``i`` int64, ``b`` bool); all float64 if empty.
+        dtypes: one letter per argument, outputs last (``f`` float64, ``g`` float32, ``i`` int64,
+            ``b`` bool); all float64 if empty.
     """
     return lambda function: Kernel(function, layout, dtypes)
 
@@ -61,7 +65,7 @@ class Kernel:
         self.__name__ = function.__name__
         self._function = function
         self._fixed = _fixed_axes(self.layout)
-        self._owner: Any = None
+        self._owner: Any = None  # keeps the machine code alive
         self._gufunc: Any = None
 
     def __call__(self, *arrays: Any, **options: Any) -> Any:
@@ -78,7 +82,8 @@ class Kernel:
         if self._gufunc is None:
             with _COMPILING, _own_cache():
                 self._compile()
-        return self._gufunc(*arrays, **options)
+        gufunc: Any = self._gufunc
+        return gufunc(*arrays, **options)
 
     def _compile(self) -> None:
         if self._gufunc is not None:
@@ -92,8 +97,9 @@ class Kernel:
         for place, (letter, rank) in enumerate(zip(letters, ranks, strict=True)):
             scalar_output = rank == 0 and place >= len(inputs)
             types.append(_array(letter, 1 if scalar_output else rank))
-        self._owner = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=True)(self._function)
-        self._gufunc = self._owner.ufunc  # the owner keeps the machine code alive
+        decorate: Any = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=True)
+        self._owner = decorate(self._function)
+        self._gufunc = self._owner.ufunc
 
 
 def _fixed_axes(layout: str) -> list[tuple[int, int, int]]:
@@ -132,8 +138,8 @@ def _cache_folder() -> str:
     """
     here = Path(__file__).resolve().parent
     beside = here / "__pycache__"
-    if numba.config.CACHE_DIR:
-        base = Path(numba.config.CACHE_DIR)
+    if _CONFIG.CACHE_DIR:
+        base = Path(_CONFIG.CACHE_DIR)
     elif os.access(beside if beside.exists() else here, os.W_OK):
         base = beside
     else:
@@ -148,14 +154,14 @@ def _own_cache() -> Iterator[None]:
     Numba caches a gufunc's body and its loop in two files that name each other; two processes that compile the same
     kernel at once can leave a body of one beside a loop of the other, and the next process crashes. Hence the lock.
     """
-    folder, before = _cache_folder(), numba.config.CACHE_DIR
+    folder, before = _cache_folder(), _CONFIG.CACHE_DIR
     Path(folder).mkdir(parents=True, exist_ok=True)
-    numba.config.CACHE_DIR = folder
+    _CONFIG.CACHE_DIR = folder
     try:
         with FileLock(f"{folder}/.lock"):
             yield
     finally:
-        numba.config.CACHE_DIR = before
+        _CONFIG.CACHE_DIR = before
 
 
 class Blocks:
@@ -170,7 +176,7 @@ class Blocks:
     def __init__(self, size: int, block: int = 256, threads: int | None = None):
         count = max(1, -(-size // block))
         edges = np.linspace(0, size, count + 1).round().astype(int)
-        self.slices = [slice(int(lo), int(hi)) for lo, hi in zip(edges[:-1], edges[1:], strict=True)]
+        self.slices = [slice(int(lo), int(hi)) for lo, hi in itertools.pairwise(edges)]
         self.threads = min(threads or available_cores(), count)
 
     def map(self, function: Callable[..., T], *columns: Sequence[Any]) -> list[T]:

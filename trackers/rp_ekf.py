@@ -180,7 +180,9 @@ def update(bank: Bank, bearings, used, stations, bearing_std, prune_below=1e-3) 
         prune_below: weight below which a hypothesis is removed for good; the best one always stays.
     Source: Xiu et al. (2002), eqs 22–23, 28, 31–36. Deviations: logs, renormalisation after pruning, absolute state.
     """
-    mean, cov, log_weights, nu, S, evidence = _update(*bank, bearings, used, stations, bearing_std, math.log(prune_below))
+    mean, cov, log_weights, nu, S, evidence = _update(
+        *bank, bearings, used, stations, bearing_std, math.log(prune_below)
+    )
     return BankUpdate(Bank(mean, cov, log_weights), nu, S, evidence)
 
 

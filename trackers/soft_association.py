@@ -39,7 +39,8 @@ MERGE = 2.0
 def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option):
     """The n heaviest (hypothesis, option) branches of one track, heaviest first; returns their number.
 
-    `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents, options.
+    `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents and
+    options.
     """
     n = lw.shape[0]
     kept = 0
@@ -151,9 +152,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
     for j in range(n_tracks):
         innovations(x[j], P[j], lw[j], z, valid, stations, var, gate, nu[j], S[j], inside)
-        count[j] = list_options(
-            lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j]
-        )
+        count[j] = list_options(lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j])
     cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
     clear = True
     for j in range(n_tracks):
@@ -170,7 +169,19 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             assignment[j, s] = k
             nu_out[j, s], S_out[j, s] = _mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
         kept = _select_branches(
-            lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j], weight, own, parent, option
+            lw[j],
+            log_likelihood[j],
+            k_opt[j],
+            share[j],
+            count[j],
+            hit,
+            miss,
+            two,
+            c_opt[j],
+            weight,
+            own,
+            parent,
+            option,
         )
         for i in range(n_hyp):
             p = parent[i] if i < kept else 0
@@ -203,8 +214,8 @@ def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
         model: `trackers.association.AssociationModel`.
         prune_below: weight below which a branch is removed; the best one always stays.
     Returns:
-        mean, cov, log weights and own log weights of the posterior banks; innovation, its variance and slot of the best joint assignment
-        [..., m, s]; log-likelihood ratio [..., m].
+        mean, cov, log weights and own log weights of the posterior banks; innovation, its variance and slot of the
+        best joint assignment [..., m, s]; log-likelihood ratio [..., m].
     Raises:
         ValueError: for more than two stations.
     """

@@ -13,8 +13,10 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
     Raises:
         ValueError: no preset of that name.
     """
-    file = resources.files(__package__) / f"{scenario_name}.toml"
+    file = resources.files(__name__) / f"{scenario_name}.toml"
     presets = tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     if algo not in presets:
-        raise ValueError(f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}")
+        raise ValueError(
+            f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"
+        )
     return presets[algo]

@@ -57,9 +57,15 @@ PAPER_COURSES = {"paper": NATURAL, "paper_bestfit": BESTFIT}
 
 TABLE_1_UPDATES = (1, 5, 9, 13, 17, 21, 25, 29, 33, 37, 39, 40, 41, 42, 43, 44, 45)
 TABLE_1_RANGE_ERROR_KM = (
-    (435.92, 438.35, 451.32, 434.49, 172.11, 38.36, 41.94, 47.81, 38.53, 21.36, 15.12, 12.27, 8.77, 4.94, 3.28, 2.32, 2.30),
-    (15.159, 8.914, 4.550, 8.035, 6.581, 7.168, 14.921, 17.394, 11.958, 7.604, 5.088, 4.088, 2.988, 1.727, 1.613, 1.656, 1.847),
-    (301.62, 302.57, 287.08, 258.97, 155.67, 45.95, 12.15, 13.95, 15.84, 13.26, 9.75, 7.83, 5.72, 4.55, 2.90, 2.19, 1.92),
+    (
+        435.92, 438.35, 451.32, 434.49, 172.11, 38.36, 41.94, 47.81, 38.53, 21.36, 15.12, 12.27, 8.77, 4.94, 3.28, 2.32, 2.30,
+    ),
+    (
+        15.159, 8.914, 4.550, 8.035, 6.581, 7.168, 14.921, 17.394, 11.958, 7.604, 5.088, 4.088, 2.988, 1.727, 1.613, 1.656, 1.847,
+    ),
+    (
+        301.62, 302.57, 287.08, 258.97, 155.67, 45.95, 12.15, 13.95, 15.84, 13.26, 9.75, 7.83, 5.72, 4.55, 2.90, 2.19, 1.92,
+    ),
 )  # fmt: skip
 """The paper's Table 1, range error to station 2 [km] per target at the updates above."""
 
@@ -78,7 +84,7 @@ class TwoStation(Scenario):
     max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
     bearing_std_deg: float = number(0.5, 1e-3, 10.0, "bearing noise")
     bearings: str = choice("all", ("all", "reference"), "whose bearings the filter uses after the first scan")
-    tracker: Any = free("rp_ekf", f"tracker by name ({', '.join(TRACKERS)}) or an object with the tracker contract")
+    tracker: Any = free("rp_ekf", f"{' or '.join(TRACKERS)}, or an object with the tracker contract")
     hypotheses: int = integer(8, 1, 64, "range hypotheses per target of a bank")
     process_noise_m_s: float = number(15.0, 0.0, 500.0, "the filter's q, velocity increment per step")
     detection_probability: float = number(1.0, 0.01, 1.0, "of each bearing, after the first scan")
@@ -90,11 +96,15 @@ class TwoStation(Scenario):
     range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
     spacing_deg: float = number(7.5, 0.0, 60.0, "angle between neighbouring targets, seen from the reference")
     spacing_jitter_deg: float = number(1.5, 0.0, 60.0, "each target's bearing is shifted by up to this")
-    course_spread_deg: float = number(30.0, 0.0, 180.0, "targets share a drawn course of any direction, each ± up to this")
+    course_spread_deg: float = number(
+        30.0, 0.0, 180.0, "targets share a drawn course of any direction, each ± up to this"
+    )
     target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
     target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
     maneuver_spread_s: float = number(4.0, 0.0, 1e3, "each target begins up to this long after the first")
-    maneuver_start_max_s: float = number(40.0, 0.0, 1e5, "the targets turn and accelerate from a time between 10 s and this")
+    maneuver_start_max_s: float = number(
+        40.0, 0.0, 1e5, "the targets turn and accelerate from a time between 10 s and this"
+    )
     final_speed_m_s: float = number(440.0, 1.0, 3000.0, "speed a target accelerates to, ±10")
     flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
     flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
@@ -117,9 +127,13 @@ class TwoStation(Scenario):
             ("target_speed_min_m_s", "target_speed_max_m_s"),
         ):
             if getattr(self, low) > getattr(self, high):
-                raise ValueError(f"TwoStation.{low} = {getattr(self, low)}: must not exceed {high} = {getattr(self, high)}")
+                raise ValueError(
+                    f"TwoStation.{low} = {getattr(self, low)}: must not exceed {high} = {getattr(self, high)}"
+                )
         if self.course in PAPER_COURSES and self.targets != len(NATURAL.targets_m):
-            raise ValueError(f"TwoStation.targets = {self.targets}: course={self.course!r} has {len(NATURAL.targets_m)}")
+            raise ValueError(
+                f"TwoStation.targets = {self.targets}: course={self.course!r} has {len(NATURAL.targets_m)}"
+            )
         self.make_tracker()
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
@@ -277,12 +291,15 @@ def _states(positions, headings_deg, speed) -> np.ndarray:
 
 
 def _checked_tracker(tracker: Any) -> Tracker:
-    missing = [verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))]
+    missing = [
+        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
+    ]
     if missing:
-        raise TypeError(f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate")
+        raise TypeError(
+            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
+        )
     return tracker
 
 
 CATALOGUE: dict[str, TwoStation] = {"TwoStation": TwoStation()}
 """This module's scenarios by name; each becomes the environment ``passive/NAME-v0``."""
-
