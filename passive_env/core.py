@@ -93,7 +93,9 @@ class Simulation:
         sighting = sense(world.tape, step, platforms, self._std)
         update = self.tracker.update(self.tracker.predict(world.track_state, scenario.step_s), sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
-        bound, metrics = self._measure(estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std)
+        bound, metrics = self._measure(
+            estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std
+        )
         assigned = _all_stations(update.assignment >= 0, platforms.shape[1])
         returns = np.add.reduce(sighting.scan.valid, axis=-1)
         new = World(

@@ -209,7 +209,7 @@ def test_every_observed_number_changes_during_an_episode(env_id, variant):
     """The flags say which bearings were used; without misses they may stay 1."""
     env = make(env_id, variant)
     seen = np.array([observation for observation, *_ in episode(env, seed=1)])
-    constant = {f.name for f, varies in zip(env.unwrapped.observation_fields, np.ptp(seen, axis=0) > 0) if not varies}
+    constant = {f.name for f, varies in zip(env.unwrapped.observation_fields, np.ptp(seen, axis=0) > 0, strict=True) if not varies}
     assert {name for name in constant if ".assigned" not in name} == set()
     if variant.get("detection_probability", 1.0) < 1.0:
         assert constant == set()

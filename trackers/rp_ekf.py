@@ -17,9 +17,9 @@ from trackers.association import PRUNED, AssociationModel
 from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
+from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
 from trackers.measurement import log_normal, update_in_place
-from trackers.motion import predict as predict_gaussian
-from trackers.reweight import reweight
+from trackers.motion import predict_in_place
 from trackers.soft_association import branch_and_update
 from trackers.triangulation import RangeInterval, admissible_crossings, forward_interval
 
@@ -133,9 +133,19 @@ def initiate(
     return Bank(*_initiate(bearing, station, bearing_std, *parts, radial_speed, velocity_std, _FOUR))
 
 
+@kernel("(n,x),(n,x,x),(n),(),()->(n,x),(n,x,x)")
+def _predict(x, P, lw, T, q, x_out, P_out):
+    for i in range(lw.shape[0]):
+        if lw[i] <= PRUNED:
+            clear_hypothesis(x_out[i], P_out[i])
+            continue
+        copy_hypothesis(x[i], P[i], x_out[i], P_out[i])
+        predict_in_place(x_out[i], P_out[i], T, q)
+
+
 def predict(bank: Bank, step_s, velocity_std) -> Bank:
-    """Propagate every hypothesis by one step (`trackers.motion`); weights are unchanged."""
-    return Bank(*predict_gaussian(Gaussian(bank.mean, bank.cov), step_s, velocity_std), bank.log_weights)
+    """Propagate every hypothesis by one step (`trackers.motion`); weights are unchanged, removed ones are zeroed."""
+    return Bank(*_predict(bank.mean, bank.cov, bank.log_weights, step_s, velocity_std), bank.log_weights)
 
 
 @kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffffffff")
@@ -258,7 +268,7 @@ class RpEkf:
 
     def predict(self, state: BranchedBank, step_s) -> BranchedBank:
         """Propagate all hypotheses by one step."""
-        mean, cov = predict_gaussian(Gaussian(state.mean, state.cov), step_s, self.process_noise)
+        mean, cov = _predict(state.mean, state.cov, state.log_weights, step_s, self.process_noise)
         return BranchedBank(mean, cov, state.log_weights, state.own_log_weights)
 
     def update(self, state: BranchedBank, scan: Scan) -> Update:

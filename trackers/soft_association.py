@@ -24,9 +24,9 @@ import numpy as np
 
 from trackers.association import PRUNED, innovations, list_options, walk_assignments
 from trackers.compiled import helper, kernel
+from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
 from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
 from trackers.measurement import update_in_place
-from trackers.reweight import reweight
 
 SLACK = 9.0
 """Joint assignments this many nepers above the best one still count (e⁻⁹ ≈ 1e-4)."""
@@ -184,14 +184,13 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             option,
         )
         for i in range(n_hyp):
-            p = parent[i] if i < kept else 0
-            for r in range(x.shape[2]):
-                x_out[j, i, r] = x[j, p, r]
-                for c in range(x.shape[2]):
-                    P_out[j, i, r, c] = P[j, p, r, c]
-            lw_out[j, i] = weight[i] if i < kept else PRUNED
-            own_out[j, i] = own[i] if i < kept else PRUNED
-            for s in range(n_stations if i < kept else 0):
+            if i >= kept:
+                clear_hypothesis(x_out[j, i], P_out[j, i])
+                lw_out[j, i] = own_out[j, i] = PRUNED
+                continue
+            copy_hypothesis(x[j, parent[i]], P[j, parent[i]], x_out[j, i], P_out[j, i])
+            lw_out[j, i], own_out[j, i] = weight[i], own[i]
+            for s in range(n_stations):
                 k = k_opt[j, option[i], s]
                 if k >= 0:
                     update_in_place(x_out[j, i], P_out[j, i], z[s, k], stations[s, 0], stations[s, 1], var)

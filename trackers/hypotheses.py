@@ -1,4 +1,4 @@
-"""Weights of hypotheses, in the log domain: normalise, prune, renormalise; the best one always stays."""
+"""Hypotheses of a bank: copied, cleared, weighed in the log domain; the best one always stays."""
 
 from __future__ import annotations
 
@@ -38,3 +38,21 @@ def reweight(log_w, log_prune):
         if log_w[i] > PRUNED:
             log_w[i] -= shift
     return evidence
+
+
+@helper
+def copy_hypothesis(x, P, x_out, P_out):
+    """Copy a mean [d] and covariance [d, d] (explicit loops: slices of strided arrays copy slowly)."""
+    for r in range(x.shape[0]):
+        x_out[r] = x[r]
+        for c in range(x.shape[0]):
+            P_out[r, c] = P[r, c]
+
+
+@helper
+def clear_hypothesis(x_out, P_out):
+    """Zeros in the place of a removed hypothesis: finite, and cheaper than carrying it on."""
+    for r in range(x_out.shape[0]):
+        x_out[r] = 0.0
+        for c in range(x_out.shape[0]):
+            P_out[r, c] = 0.0
