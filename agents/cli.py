@@ -108,7 +108,7 @@ def _guarded(command: Any) -> int:
     runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
     try:
         runners[type(command)](command)
-    except (ValueError, TypeError, FileNotFoundError, FileExistsError) as error:
+    except (ValueError, TypeError, OSError) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
     return 0

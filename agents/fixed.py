@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -49,19 +50,28 @@ class Straight:
 
 
 class Random:
-    """Uniform random commands."""
+    """Uniform random commands.
+
+    An episode's commands follow from the seed and its first tracks, so an evaluation can be repeated and gives the
+    same result however its episodes are cut into batches.
+    """
 
     def __init__(self, seed: int):
         self._seed = seed
-        self._rng = np.random.default_rng(seed)
+        self._commands = np.empty((0, 1, 2))
+        self._begin = np.empty(0, dtype=int)
 
     def reset(self, belief: Belief) -> None:
-        """Start the random sequence anew, so that an evaluation can be repeated."""
-        self._rng = np.random.default_rng(self._seed)
+        """Draw whole episodes' commands [e, k, a]."""
+        self._begin = np.array(belief.steps_left)
+        shape = (max(int(self._begin.max()), 1), belief.last_action.shape[-1])
+        generators = (np.random.default_rng([self._seed, zlib.crc32(mean.tobytes())]) for mean in belief.mean)
+        self._commands = np.stack([generator.uniform(-1.0, 1.0, shape) for generator in generators])
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Independent commands in [−1, 1]."""
-        return self._rng.uniform(-1.0, 1.0, belief.last_action.shape)
+        step = (self._begin - belief.steps_left) % self._commands.shape[1]
+        return self._commands[np.arange(len(step)), step]
 
 
 def _paper(scenario: Any, seed: int) -> Policy:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,7 @@ class LearnedPolicy:
         config = read_config(Path(run))
         _check_fit(Path(run), config, environment, simulation)
         self._model = load_model(Path(run) / MODEL, config["algo"])
+        _check_spaces(Path(run) / MODEL, self._model, simulation)
         self._decode = simulation.actions.decode
 
     def reset(self, belief: Belief) -> None:
@@ -57,9 +57,14 @@ def read_config(run: Path) -> dict[str, Any]:
     if not file.is_file():
         raise FileNotFoundError(f"{run}: no {CONFIG} in it; a run folder is made by 'passive-env train --out {run}'")
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
+        config = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
+    needed = ("environment", "observation_digest", "algo")
+    missing = [name for name in needed if not (isinstance(config, dict) and name in config)]
+    if missing:
+        raise ValueError(f"{file}: is no run's configuration, {', '.join(missing)} missing; restore it or train again")
+    return config
 
 
 def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
@@ -74,17 +79,8 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
         raise FileNotFoundError(f"{file}: no such model; has the training run been finished?")
     try:
         return ALGORITHMS[algo].load(file, device=options.pop("device", "cpu"), **options)
-    except (
-        zipfile.BadZipFile,
-        ValueError,
-        KeyError,
-        RuntimeError,
-        EOFError,
-        AttributeError,
-        OSError,
-        TypeError,
-    ) as error:
-        reason = f"{type(error).__name__}: {error}"
+    except Exception as error:  # whatever Stable-Baselines3, zipfile, pickle and torch raise on foreign bytes
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(
             f"{file}: damaged or not a saved {algo} model ({reason}); restore it or train again"
         ) from error
@@ -94,6 +90,15 @@ def observation_digest(simulation: Simulation) -> str:
     """Fingerprint of the observation's fields and the action space: a model fits only where they are the same."""
     names = "|".join(f"{f.name},{f.unit},{f.scale}" for f in simulation.observation.fields)
     return hashlib.sha256(f"{names}|{simulation.actions.space}".encode()).hexdigest()[:16]
+
+
+def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:
+    ours = (simulation.observation.space, simulation.actions.space)
+    if (model.observation_space, model.action_space) != ours:
+        raise ValueError(
+            f"{file}: made for observations {model.observation_space} and actions {model.action_space}, not for "
+            f"{ours[0]} and {ours[1]}; it is not the model that {CONFIG} beside it describes"
+        )
 
 
 def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: Simulation) -> None:

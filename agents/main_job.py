@@ -27,6 +27,7 @@ def train_and_compare(
     from agents.training import plan, train
 
     name = scenario_name(env)
+    _check_numbers(episodes, seed)
     flown_by(name, flights)  # a bad file must fail before the training, not after it
     folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
     run = plan(name, folder, algo, seed, device, timesteps, envs)
@@ -47,6 +48,7 @@ def compare(
     Arguments as in `agents.cli.Evaluate`; returns the summary.
     """
     name = scenario_name(env)
+    _check_numbers(episodes, seed)
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
     base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
@@ -74,6 +76,13 @@ def flown_by(name: str, flights: str) -> Any:
     scenario = make_scenario(name, {"course": "flights", **source})
     scenario.check_flights()
     return scenario
+
+
+def _check_numbers(episodes: int, seed: int) -> None:
+    if episodes < 1:
+        raise ValueError(f"--episodes {episodes}: must be at least 1")
+    if seed < 0:
+        raise ValueError(f"--seed {seed}: must not be negative")
 
 
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:

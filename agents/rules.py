@@ -24,7 +24,7 @@ class TurnApart:
     """
 
     def __init__(self, scenario: Any, left_deg: float, right_deg: float):
-        self._step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+        self._step = max(math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s, 1e-12)
         self._left, self._right = math.radians(left_deg), math.radians(right_deg)
         self._course = np.empty((0, 2))
 

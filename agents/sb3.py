@@ -63,8 +63,12 @@ class Sb3VecEnv(VecEnv):
         final = info["final_info"]["range_error_m"].mean(axis=-1)
         for i in np.flatnonzero(done):
             infos[i] = {
-                "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": 0.0},
-                "final_range_error_m": float(final[i]),
+                "episode": {
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
+                    "t": 0.0,
+                    "final_range_error_m": float(final[i]),
+                },
                 "terminal_observation": info["final_obs"][i],
                 "TimeLimit.truncated": bool(timeout[i] and self.bootstrap_at_horizon),
             }

@@ -24,6 +24,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.evaluation import fly
 from agents.files import write_json
+from agents.imitation import imitate
 from agents.learned import ALGORITHMS, CONFIG, MODEL, load_model, observation_digest, read_config
 from agents.policy import make_policy
 from agents.presets import load_preset
@@ -100,11 +101,20 @@ def plan(
     if algo not in ALGORITHMS:
         raise ValueError(f"--algo {algo}: must be one of {', '.join(ALGORITHMS)}")
     preset = load_preset(scenario_name, algo)
-    chosen = {"timesteps": timesteps or preset["timesteps"], "envs": envs or preset["envs"]}
+    given = {"timesteps": timesteps, "envs": envs}
+    chosen = {name: preset[name] if value is None else value for name, value in given.items()}
     for name, value in chosen.items():
         if value < 1:
             raise ValueError(f"--{name} {value}: must be at least 1")
+    _check_device(device)
     return Run(folder, scenario_name, fields or {}, algo, seed, device, **chosen, preset=preset)
+
+
+def _check_device(device: str) -> None:
+    try:
+        torch.empty(0, device="cpu" if device == "auto" else device)
+    except (RuntimeError, AssertionError) as error:  # PyTorch without CUDA raises the latter
+        raise ValueError(f"--device {device}: {str(error).splitlines()[0]}; use cpu, cuda or auto") from error
 
 
 def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
@@ -233,7 +243,7 @@ def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     preset = run.preset
     rate = preset["learning_rate"]
     algorithm: Any = ALGORITHMS[run.algo]
-    return algorithm(
+    model = algorithm(
         "MlpPolicy",
         env,
         seed=run.seed,
@@ -244,6 +254,9 @@ def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         tensorboard_log=str(run.folder / "tensorboard"),
         **{**preset.get("arguments", {}), "batch_size": min(preset["arguments"]["batch_size"], rollout_steps(run))},
     )
+    if "imitation" in preset:
+        imitate(model, run.training_scenario, seed=run.seed, **preset["imitation"])
+    return model
 
 
 class LinearDecay:

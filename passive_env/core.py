@@ -102,7 +102,9 @@ class Simulation:
             step, platforms, world.tape, update.posterior, estimate, assigned, returns, command, bound,
             sighting.truth, metrics,
         )  # fmt: skip
-        moment = Moment(metrics, world.metrics, command, platforms, sighting.truth, scenario.standoff_m)
+        moment = Moment(
+            metrics, world.metrics, command, platforms, sighting.truth, scenario.standoff_m, self.finished(new)
+        )
         reward, terms = evaluate(scenario.reward_weights, moment)
         return new, reward, terms
 

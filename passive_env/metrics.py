@@ -8,10 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.bounds import range_variance
-from trackers.compiled import kernel
+from trackers.compiled import helper, kernel
 from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
 from trackers.measurement import update_in_place
 from trackers.motion import predict_in_place
+
+
+FARTHEST_M = 1e9
+"""Errors are cut here, and a tracker's NaN counts as this: a diverged filter must not leak into rewards."""
+
+MAX_NEES = 1e12
 
 
 class Metrics(NamedTuple):
@@ -32,6 +38,11 @@ class Metrics(NamedTuple):
     range_crlb_m: Any
     nees: Any
     lost: Any
+
+
+@helper
+def _at_most(value, limit):
+    return value if value <= limit else limit  # NaN compares False
 
 
 @kernel(
@@ -55,15 +66,15 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
             z = math.atan2(x[1] - platforms[s, 1], x[0] - platforms[s, 0])
             update_in_place(x, P, z, platforms[s, 0], platforms[s, 1], std * std)
         true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
-        range_error[m] = abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m])
-        position_error[m] = math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1])
+        range_error[m] = _at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
+        position_error[m] = _at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
         crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
         for i in range(4):
             x[i] = mean[m, i] - truth[m, i]
             for j in range(4):
                 factor[i, j] = cov[m, i, j]
         cholesky_in_place(factor)
-        nees[m] = min(mahalanobis_with_factor(factor, x), 1e12)
+        nees[m] = _at_most(mahalanobis_with_factor(factor, x), MAX_NEES)
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
 
 

@@ -98,6 +98,8 @@ def _observe(time_left, platforms, mean, cov, assigned, last_action, like, out):
         for s in range(n_stations):
             out[i] = 1.0 if assigned[m, s] else 0.0
             i += 1
+    for k in range(i):  # a diverged tracker's NaN reads 0
+        out[k] = _clip(out[k])
 
 
 class TrackObservation:

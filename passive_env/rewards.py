@@ -24,6 +24,7 @@ class Moment(NamedTuple):
         command: [e, a] in [−1, 1].
         platforms: [e, s, 4]; truth: [e, m, 4].
         standoff_m: distance that platforms must keep from targets, 0 for none.
+        final: [e] bool, the episode's last step.
     """
 
     metrics: Metrics
@@ -32,6 +33,7 @@ class Moment(NamedTuple):
     platforms: Any
     truth: Any
     standoff_m: float
+    final: Any
 
 
 @kernel("(m),()->()")
@@ -78,6 +80,11 @@ def log_range_bound(moment: Moment):
     return math.log(1e3) - _mean_log(moment.metrics.range_crlb_m, 1.0)
 
 
+def final_log_range_bound(moment: Moment):
+    """`log_range_bound` at the episode's last step, 0 before [nepers]."""
+    return np.where(moment.final, log_range_bound(moment), 0.0)
+
+
 def information_gain(moment: Moment):
     """Decrease of log range bound over the step, mean over targets [nepers]."""
     return _mean_log(moment.previous.range_crlb_m, 1.0) - _mean_log(moment.metrics.range_crlb_m, 1.0)
@@ -104,6 +111,7 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         log_range_error,
         relative_range_error,
         log_range_bound,
+        final_log_range_bound,
         information_gain,
         maneuver,
         standoff,

@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+import numpy as np
+
 S = TypeVar("S", bound="Scenario")
 
 
@@ -45,7 +47,11 @@ class Scenario:
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
-            _check(type(self).__name__, f.name, getattr(self, f.name), f.metadata)
+            value = getattr(self, f.name)
+            if isinstance(value, np.number):  # of a parameter sweep
+                value = value.item()
+                object.__setattr__(self, f.name, value)
+            _check(type(self).__name__, f.name, value, f.metadata)
 
     def replace(self: S, **changes: Any) -> S:
         """A copy with some fields changed; an unknown field is a TypeError that suggests the nearest name."""

@@ -257,7 +257,7 @@ class RpEkf:
         """One bank per reference bearing, over the range interval of its forward crossings."""
         alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
         others, station = scan.bearings[..., None, 0, :], scan.stations[..., None, 0, :]
-        spread = 3.0 * scan.bearing_std
+        spread = 3.0 * math.sqrt(2.0) * scan.bearing_std
         valid = admissible_crossings(
             alpha, scan.valid[..., -1, :], scan.stations[..., -1, :], scan.bearings[..., 0, :], scan.valid[..., 0, :],
             scan.stations[..., 0, :], spread, self.floor_m, self.cap_m,

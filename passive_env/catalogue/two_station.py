@@ -7,6 +7,7 @@ Station 0 is the paper's station 1; the last station is the reference, the paper
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -117,6 +118,7 @@ class TwoStation(Scenario):
     reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")
     reward_maneuver: float = number(0.0, 0.0, 1e6, "weight")
     reward_standoff: float = number(1.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
@@ -137,6 +139,8 @@ class TwoStation(Scenario):
             raise ValueError(
                 f"TwoStation.targets = {self.targets}: course={self.course!r} has {len(NATURAL.targets_m)}"
             )
+        if not isinstance(self.flights, (str, os.PathLike, type(None))):
+            raise ValueError(f"TwoStation.flights = {self.flights!r}: must be the path of a file, or None")
         self.make_tracker()
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------

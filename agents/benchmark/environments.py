@@ -1,0 +1,104 @@
+"""Environments: steps per second of the vector environment, a single step, a reset, memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.benchmark.results import Result, Section
+from agents.benchmark.timing import Effort, Task, seconds, take_turns
+from passive_env.catalogue import environment_id
+from passive_env.vector_env import PassiveVectorEnv
+
+SCENARIO = "TwoStation"
+
+
+def measure_vector(effort: Effort) -> Section:
+    """Environment steps per second in windows of whole episodes, resets included, on all cores and on one thread.
+
+    Autoreset is the default, NEXT_STEP: a window is one call per step and one more that resets; only steps count.
+    """
+    wide = {"": _begun(effort, None), "_one_thread": _begun(effort, 1)}
+    tasks = {
+        f"vector_env_{kind}_actions{suffix}": _window(env, kind == "random")
+        for kind in ("random", "zero")
+        for suffix, env in wide.items()
+    }
+    steps = effort.num_envs * wide[""].scenario.steps
+    rates = {name: steps / float(np.median(times)) for name, times in take_turns(tasks, effort.rounds).items()}
+    goals = {"vector_env_random_actions": ">= 250000"}
+    return Section([Result(name, rate, "env-steps/s", goals.get(name)) for name, rate in rates.items()])
+
+
+def _begun(effort: Effort, threads: int | None) -> PassiveVectorEnv:
+    env = PassiveVectorEnv(SCENARIO, num_envs=effort.num_envs, threads=threads)
+    env.reset(seed=0)
+    return env
+
+
+def _window(env: PassiveVectorEnv, random: bool) -> Task:
+    """Every sub-environment flies one episode, from its first step to the reset after its last."""
+    rng, shape = np.random.default_rng(1), (env.scenario.steps + 1, *env.action_space.shape)  # type: ignore[misc]
+
+    def prepare() -> Any:
+        actions = rng.uniform(-1.0, 1.0, shape) if random else np.zeros(shape)
+        actions = actions.astype(np.float32)
+
+        def run() -> None:
+            for action in actions:
+                env.step(action)
+
+        return run
+
+    return prepare
+
+
+def measure_resets(effort: Effort) -> Section:
+    """Beginning episodes, tapes drawn and first scans tracked, in the wide vector environment."""
+    env = _begun(effort, None)
+    times = take_turns({"reset": lambda: env.reset}, effort.rounds)["reset"]
+    return Section([Result("reset_per_environment", 1e6 * float(np.median(times)) / effort.num_envs, "µs")])
+
+
+def measure_single(effort: Effort) -> Section:
+    """Median time of one step of the single environment, each step timed by itself."""
+    env_id = environment_id(SCENARIO)
+    bare, wrapped = gym.make(env_id, disable_env_checker=True), gym.make(env_id)
+    times: dict[str, list[float]] = {"single_env_step": [], "single_env_step_default_wrappers": []}
+    rng = np.random.default_rng(2)
+    for episode in range(effort.episodes + 1):
+        for env, taken in zip((bare, wrapped), times.values(), strict=True):
+            steps = list(_step_times(env, rng, episode))
+            taken += steps if episode > 0 else []
+    return Section([Result(name, 1e6 * float(np.median(taken)), "µs", "<= 60") for name, taken in times.items()])
+
+
+def _step_times(env: gym.Env[Any, Any], rng: np.random.Generator, seed: int) -> Iterator[float]:
+    """Wall time of every step of an episode [s]."""
+    env.reset(seed=seed)
+    shape = env.action_space.shape
+    done = False
+    while not done:
+        action = rng.uniform(-1.0, 1.0, shape).astype(np.float32)
+        outcome: list[Any] = []
+        yield seconds(lambda action=action, outcome=outcome: outcome.extend(env.step(action)))
+        done = outcome[2] or outcome[3]
+
+
+def measure_memory(effort: Effort) -> Section:
+    """Bytes of a world's arrays per environment: the tape of the whole episode, and the state that steps replace."""
+    env = _begun(effort, None)
+    env.step(np.zeros(env.action_space.shape, dtype=np.float32))  # type: ignore[arg-type]
+    world = env.world
+    tape = array_bytes(world.tape) / effort.num_envs
+    state = array_bytes(world) / effort.num_envs - tape
+    figures = {"memory_per_environment": tape + state, "memory_tape": tape, "memory_state": state}
+    return Section([Result(name, size / 1e3, "kB") for name, size in figures.items()])
+
+
+def array_bytes(tree: Any) -> int:
+    """Bytes of all arrays in nested tuples."""
+    return sum(map(array_bytes, tree)) if isinstance(tree, tuple) else tree.nbytes

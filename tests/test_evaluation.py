@@ -1,0 +1,480 @@
+"""Evaluation: paired tapes, the summary's schema and statistics, the files, and the commands with their refusals."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from agents import cli, evaluation
+from agents.evaluation import Record, fly, fly_all, ratio_of_means, steps_axis, summarize, unique_names
+from agents.pictures import EpisodePaths
+from agents.policy import make_policy, policy_names
+from agents.report import as_csv, as_markdown, write_evaluation
+from passive_env import PassiveVectorEnv
+from passive_env.catalogue.two_station import TwoStation
+
+SHORT = TwoStation(steps=6)
+FILES = {"evaluation.json", "evaluation.csv", "evaluation.md", "range_error_over_time.png", "geometry.png"}
+STATISTICS = {"mean", "median", "rms", "p95"}
+
+
+def policies(scenario, *names):
+    return {name: make_policy(name, scenario) for name in names}
+
+
+def record(range_error_m, lost=None) -> Record:
+    """A record of hand-made errors [e, k + 1]; everything else is plausible."""
+    errors = np.array(range_error_m, dtype=float)
+    episodes, instants = errors.shape
+    paths = EpisodePaths(
+        np.cumsum(np.full((instants, 2, 2), 500.0), axis=0),
+        np.full((instants, 1, 2), 7e4) + np.arange(instants)[:, None, None],
+        np.full((instants, 1, 2), 6e4) + np.arange(instants)[:, None, None],
+        np.full((1, 2, 2), 1e6) * np.eye(2),
+        np.full((instants, 1), 1e3),
+    )
+    share = np.zeros(episodes) if lost is None else np.array(lost, dtype=float)
+    return Record(errors, 0.5 * errors, share, 0.5 * share, 12.5, paths)
+
+
+# ------------------------------------------------------------------------------------------------ paired tapes
+
+
+def test_all_policies_meet_the_same_targets_and_noise(monkeypatch):
+    tapes = []
+
+    class Spy(PassiveVectorEnv):
+        def reset(self, **kwargs):
+            result = super().reset(**kwargs)
+            tapes.append((kwargs["seed"], self.world.tape))
+            return result
+
+    monkeypatch.setattr(evaluation, "PassiveVectorEnv", Spy)
+    records = fly_all(SHORT, policies(SHORT, "paper", "rule", "random"), 5, 40, progress=False)
+    assert [seed for seed, _ in tapes] == [40, 40, 40]
+    for _, tape in tapes[1:]:
+        for ours, first in zip(tape, tapes[0][1], strict=True):
+            assert np.array_equal(ours, first)
+    for ours in records.values():
+        assert np.array_equal(ours.range_error_m[:, 0], records["paper"].range_error_m[:, 0])
+        assert np.array_equal(ours.paths.targets, records["paper"].paths.targets)
+    assert not np.array_equal(records["rule"].final, records["paper"].final)
+
+
+def test_records_are_what_single_environments_show():
+    """Episode i is the single environment reset with seed + i."""
+    from passive_env import PassiveEnv
+
+    flown = fly(SHORT, make_policy("rule", SHORT), 3, 70)
+    assert flown.range_error_m.shape == flown.range_crlb_m.shape == (3, 7)
+    for i in range(3):
+        env, policy = PassiveEnv(SHORT), make_policy("rule", SHORT)
+        observation, info = env.reset(seed=70 + i)
+        policy.reset(env.belief())
+        errors, bounds = [info["range_error_m"].mean()], [info["range_crlb_m"].mean()]
+        for _ in range(6):
+            command = policy.act(env.belief(), observation[None])[0].astype(np.float32)
+            observation, _, _, _, info = env.step(command)
+            errors.append(info["range_error_m"].mean())
+            bounds.append(info["range_crlb_m"].mean())
+        np.testing.assert_allclose(flown.range_error_m[i], errors, rtol=1e-12)
+        np.testing.assert_allclose(flown.range_crlb_m[i], bounds, rtol=1e-12)
+        assert flown.lost[i] == info["lost"].mean()
+
+
+@pytest.mark.parametrize("name", policy_names())
+def test_cutting_episodes_into_blocks_changes_nothing(monkeypatch, name):
+    scenario = TwoStation(steps=6, detection_probability=0.8, false_bearings_mean=1.0)
+    whole = fly(scenario, make_policy(name, scenario), 11, 5)
+    monkeypatch.setattr(evaluation, "BLOCK", 4)
+    cut = fly(scenario, make_policy(name, scenario), 11, 5)
+    for field in ("range_error_m", "range_crlb_m", "lost", "collapsed"):
+        assert np.array_equal(getattr(cut, field), getattr(whole, field)), field
+    assert np.array_equal(cut.paths.stations, whole.paths.stations)
+
+
+def test_discrete_actions_are_flown_as_choices():
+    scenario = TwoStation(steps=6, actions="discrete")
+    flown = fly(scenario, make_policy("rule", scenario), 2, 0)
+    velocity = np.diff(flown.paths.stations, axis=0)
+    heading = np.degrees(np.arctan2(velocity[..., 1], velocity[..., 0]))
+    turned = (np.diff(heading, axis=0) + 180.0) % 360.0 - 180.0
+    assert np.all(np.isclose(np.abs(turned) % 5.0, 0.0, atol=1e-3) | np.isclose(np.abs(turned) % 5.0, 5.0, atol=1e-3))
+    assert np.abs(turned).max() > 1.0
+
+
+@pytest.mark.parametrize("episodes", [0, -1])
+def test_no_episodes_is_an_error(episodes):
+    with pytest.raises(ValueError, match="episodes"):
+        fly(SHORT, make_policy("rule", SHORT), episodes, 0)
+
+
+def test_collapsed_tracks_are_lost_and_far_off():
+    """A scenario in which tracks get lost: the share is of tracks, and collapsed is part of lost."""
+    scenario = TwoStation(steps=20, hypotheses=1, process_noise_m_s=0.0, bearings="reference")
+    flown = fly(scenario, make_policy("straight", scenario), 60, 0)
+    thirds = np.round(3.0 * flown.lost)
+    np.testing.assert_allclose(flown.lost, thirds / 3.0)
+    assert flown.lost.mean() > flown.collapsed.mean() > 0.0
+    assert np.all(flown.collapsed <= flown.lost)
+
+
+# ------------------------------------------------------------------------------------------------ statistics
+
+
+def test_summary_has_exactly_the_agreed_schema():
+    records = fly_all(SHORT, policies(SHORT, "paper", "rule", "straight"), 4, 9, progress=False)
+    summary = summarize("passive/TwoStation-v0", 9, records)
+    assert {"environment", "episodes", "seed", "policies", "ratios"} <= set(summary)
+    assert (summary["environment"], summary["episodes"], summary["seed"]) == ("passive/TwoStation-v0", 4, 9)
+    assert list(summary["policies"]) == ["paper", "rule", "straight"]
+    for figures in summary["policies"].values():
+        assert set(figures["final_range_error_m"]) == set(figures["mean_range_error_m"]) == STATISTICS
+        assert type(figures["lost_share"]) is type(figures["decision_time_us"]) is float
+        assert figures["decision_time_us"] > 0.0
+    assert set(summary["ratios"]) == {"paper", "rule"}
+    for base, compared in summary["ratios"].items():
+        assert set(compared) == {"paper", "rule", "straight"} - {base}
+        for metrics in compared.values():
+            assert set(metrics) == {"final_range_error_m", "mean_range_error_m"}
+            for ratio in metrics.values():
+                assert set(ratio) == {"ratio", "ci95"}
+                low, high = ratio["ci95"]
+                assert low <= ratio["ratio"] <= high
+    json.dumps(summary, allow_nan=False)
+
+
+def test_statistics_by_hand():
+    """Five episodes of three instants; index 0, before the first decision, counts in neither figure."""
+    errors = [[9e9, 10.0, 1.0], [9e9, 20.0, 2.0], [9e9, 30.0, 3.0], [9e9, 40.0, 4.0], [9e9, 50.0, 10.0]]
+    base = [[9e9, 20.0, 2.0]] * 5
+    summary = summarize("e", 0, {"paper": record(base), "x": record(errors, lost=[0.0, 0.0, 1.0, 0.5, 0.0])})
+    figures = summary["policies"]["x"]
+    final, mean = figures["final_range_error_m"], figures["mean_range_error_m"]
+    assert final == pytest.approx({"mean": 4.0, "median": 3.0, "rms": np.sqrt(130.0 / 5.0), "p95": 4.0 + 0.8 * 6.0})
+    # Episode averages over instants 1 and 2: 5.5, 11, 16.5, 22, 30.
+    assert mean["mean"] == pytest.approx(17.0)
+    assert mean["median"] == pytest.approx(16.5)
+    assert mean["rms"] == pytest.approx(np.sqrt((5.5**2 + 11.0**2 + 16.5**2 + 22.0**2 + 30.0**2) / 5.0))
+    assert mean["p95"] == pytest.approx(22.0 + 0.8 * 8.0)
+    assert figures["lost_share"] == pytest.approx(0.3)
+    assert figures["decision_time_us"] == 12.5
+    ratios = summary["ratios"]["paper"]["x"]
+    assert ratios["final_range_error_m"]["ratio"] == pytest.approx(4.0 / 2.0)
+    assert ratios["mean_range_error_m"]["ratio"] == pytest.approx(17.0 / 11.0)
+
+
+def test_without_the_usual_baselines_the_first_policy_is_the_baseline():
+    summary = summarize("e", 0, {"a": record([[1.0, 2.0]] * 3), "b": record([[1.0, 4.0]] * 3)})
+    assert list(summary["ratios"]) == ["a"]
+    assert summary["ratios"]["a"]["b"]["final_range_error_m"] == {"ratio": 2.0, "ci95": [2.0, 2.0]}
+
+
+def test_ratio_of_identical_samples_is_one_without_doubt():
+    values = np.random.default_rng(0).lognormal(7.0, 1.0, 50)
+    assert ratio_of_means(values, values) == {"ratio": 1.0, "ci95": [1.0, 1.0]}
+    tripled = ratio_of_means(3.0 * values, values)
+    assert [tripled["ratio"], *tripled["ci95"]] == pytest.approx([3.0, 3.0, 3.0])
+
+
+def test_ratio_of_a_single_episode_has_no_interval():
+    assert ratio_of_means(np.array([3.0]), np.array([2.0])) == {"ratio": 1.5, "ci95": [1.5, 1.5]}
+
+
+def test_ratio_interval_is_paired():
+    """What episodes have in common cancels: the unpaired interval would be some ten times as wide."""
+    rng = np.random.default_rng(1)
+    base = rng.lognormal(7.0, 1.0, 300)
+    low, high = ratio_of_means(0.8 * base * rng.normal(1.0, 0.05, 300), base)["ci95"]
+    assert low < 0.8 < high
+    assert high - low < 0.03
+
+
+def test_ratio_interval_covers_the_true_ratio_as_often_as_it_says():
+    """Percentile intervals of 100 episodes fall a little short of 95 %: between 92.5 and 96.5 % is honest."""
+    rng = np.random.default_rng(2)
+    trials, hits = 400, 0
+    for _ in range(trials):
+        common = rng.gamma(4.0, 0.25, 100)
+        values, base = 0.7 * common * rng.gamma(9.0, 1.0 / 9.0, 100), common * rng.gamma(9.0, 1.0 / 9.0, 100)
+        low, high = ratio_of_means(values, base)["ci95"]
+        hits += low <= 0.7 <= high
+    assert binom.ppf(5e-4, trials, 0.925) <= hits <= binom.ppf(1.0 - 5e-4, trials, 0.965)
+
+
+def test_ratios_repeat():
+    rng = np.random.default_rng(3)
+    values, base = rng.lognormal(size=(2, 40))
+    assert ratio_of_means(values, base) == ratio_of_means(values, base)
+    assert ratio_of_means(values, base, seed=1)["ci95"] != ratio_of_means(values, base)["ci95"]
+
+
+def test_names_of_several_learned_policies_are_numbered():
+    assert unique_names(["rule", "learned", "learned", "rule", "learned"]) == [
+        "rule", "learned", "learned_2", "rule_2", "learned_3",
+    ]  # fmt: skip
+
+
+def test_time_axis():
+    assert steps_axis(TwoStation(steps=3, step_s=0.5)).tolist() == [0.0, 0.5, 1.0, 1.5]
+
+
+# ------------------------------------------------------------------------------------------------ files
+
+
+@pytest.fixture(scope="module")
+def two_records():
+    return fly_all(SHORT, policies(SHORT, "paper", "rule", "random"), 4, 0, progress=False)
+
+
+def test_files_say_what_the_summary_says(tmp_path, two_records):
+    summary = summarize("passive/TwoStation-v0", 0, two_records)
+    written = write_evaluation(tmp_path / "new" / "folder", summary, two_records, SHORT)
+    folder = tmp_path / "new" / "folder"
+    assert {path.name for path in written} == {path.name for path in folder.iterdir()} == FILES
+    assert json.loads((folder / "evaluation.json").read_text()) == summary
+    for name in ("range_error_over_time.png", "geometry.png"):
+        assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    rows = list(csv.DictReader((folder / "evaluation.csv").read_text().splitlines()))
+    assert [row["policy"] for row in rows] == ["paper", "rule", "random"]
+    for row in rows:
+        figures = summary["policies"][row["policy"]]
+        assert float(row["final_range_error_m_mean"]) == figures["final_range_error_m"]["mean"]
+        assert float(row["mean_range_error_m_p95"]) == figures["mean_range_error_m"]["p95"]
+        assert float(row["lost_share"]) == figures["lost_share"]
+    ratio = summary["ratios"]["rule"]["random"]["final_range_error_m"]
+    assert float(rows[2]["final_range_error_m_over_rule"]) == ratio["ratio"]
+    assert [float(rows[2][f"final_range_error_m_over_rule_{end}"]) for end in ("low", "high")] == ratio["ci95"]
+    assert rows[0]["final_range_error_m_over_paper"] == ""
+
+
+def test_markdown_table_has_a_row_for_every_policy(two_records):
+    summary = summarize("passive/TwoStation-v0", 0, two_records)
+    lines = as_markdown(summary).splitlines()
+    head, rule, *rows = [line for line in lines if line.startswith("|")]
+    assert [row.split("|")[1].strip() for row in rows] == ["paper", "rule", "random"]
+    assert len({row.count("|") for row in (head, rule, *rows)}) == 1
+    assert f"{summary['policies']['random']['final_range_error_m']['mean']:.0f}" in rows[2]
+    assert f"{summary['ratios']['paper']['random']['final_range_error_m']['ratio']:.3f}" in rows[2]
+    assert "4 paired episodes" in lines[-1]
+    assert as_csv(summary).count("\n") == 4
+
+
+def test_an_earlier_evaluation_is_replaced_whole(tmp_path, two_records):
+    summary = summarize("passive/TwoStation-v0", 0, two_records)
+    write_evaluation(tmp_path, summary, two_records, SHORT)
+    first = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    write_evaluation(tmp_path, summary, two_records, SHORT)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == first
+
+
+# ------------------------------------------------------------------------------------------------ commands
+
+
+def evaluate(*arguments) -> int:
+    return cli.main(["evaluate", *map(str, arguments)])
+
+
+def test_evaluate_command_writes_and_prints_the_comparison(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert evaluate("--policies", "paper", "rule", "straight", "--episodes", 3, "--seed", 5, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    summary = json.loads((out / "evaluation.json").read_text())
+    assert list(summary["policies"]) == ["paper", "rule", "straight"]
+    assert (summary["episodes"], summary["seed"], summary["environment"]) == (3, 5, "passive/TwoStation-v0")
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in ("| paper |", "| rule |", "| straight |"))
+    direct = fly(TwoStation(), make_policy("rule", TwoStation()), 3, 5)
+    assert summary["policies"]["rule"]["final_range_error_m"]["mean"] == pytest.approx(direct.final.mean(), rel=1e-12)
+
+
+def test_evaluate_command_crosses_policies_with_trackers(tmp_path):
+    """The second use of the package: trackers under the same maneuvers."""
+    status = evaluate(
+        "passive/TwoStation-v0", "--policies", "rule", "paper", "--trackers", "rp_ekf", "fused_ekf", "--episodes", 3,
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert status == 0
+    found = {}
+    for tracker in ("rp_ekf", "fused_ekf"):
+        assert {path.name for path in (tmp_path / tracker).iterdir()} == FILES
+        summary = json.loads((tmp_path / tracker / "evaluation.json").read_text())
+        assert summary["tracker"] == tracker
+        scenario = TwoStation(tracker=tracker)
+        direct = fly(scenario, make_policy("paper", scenario), 3, summary["seed"])
+        found[tracker] = summary["policies"]["paper"]["final_range_error_m"]["mean"]
+        assert found[tracker] == pytest.approx(direct.final.mean(), rel=1e-12)
+    assert found["rp_ekf"] != found["fused_ekf"]
+
+
+def test_evaluate_command_flies_held_out_traffic(tmp_path):
+    assert evaluate("--policies", "rule", "--flights", "held-out", "--episodes", 2, "--out", tmp_path) == 0
+    summary = json.loads((tmp_path / "evaluation.json").read_text())
+    assert (summary["course"], summary["flights"]) == ("flights", "held-out")
+    scenario = TwoStation(course="flights", flight_split="test")
+    direct = fly(scenario, make_policy("rule", scenario), 2, summary["seed"])
+    assert summary["policies"]["rule"]["final_range_error_m"]["mean"] == pytest.approx(direct.final.mean(), rel=1e-12)
+
+
+def flights_file(path: Path, rows: int = 130) -> Path:
+    """One aircraft flying east at 150 m/s over the equator, heard every 2 s."""
+    lines = ["timestamp,icao24,callsign,latitude,longitude,altitude,groundspeed,track,vertical_rate"]
+    for k in range(rows):
+        longitude = 10.0 + 2.0 * k * 150.0 / 111319.49
+        minute, second = divmod(2 * k, 60)
+        lines.append(f"2024-05-01 10:{minute:02d}:{second:02d}+00:00,abc123,TEST1,0.0,{longitude:.7f},30000,291.577,90.0,0")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_evaluate_command_flies_a_file_of_ones_own(tmp_path):
+    file = flights_file(tmp_path / "own.csv")
+    assert evaluate("--policies", "rule", "--flights", file, "--episodes", 2, "--out", tmp_path / "out") == 0
+    scenario = TwoStation(course="flights", flights=str(file), flight_split="all")
+    tape = PassiveVectorEnv(scenario, num_envs=2)
+    tape.reset(seed=0)
+    speed = np.hypot(tape.world.tape.targets[..., 2], tape.world.tape.targets[..., 3])
+    np.testing.assert_allclose(speed, 150.0, rtol=0.01)
+
+
+def assert_refused(capsys, out: Path, status: int, *words):
+    """Exit status 2, one line on standard error that holds the words, and nothing written."""
+    printed = capsys.readouterr()
+    assert status == 2
+    assert printed.err.startswith("passive-env: ")
+    assert len(printed.err.strip().splitlines()) == 1
+    assert printed.out == ""
+    for word in words:
+        assert str(word) in printed.err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["passive/TwoStations-v0"], ["'passive/TwoStations-v0'", "did you mean", "passive/TwoStation-v0"]),
+        (["CartPole-v1"], ["unknown environment 'CartPole-v1'", "passive/TwoStation-v0"]),
+        (["--policies", "rule", "rules"], ["unknown policy 'rules'", "rule_perpendicular", "run folder"]),
+        (["--policies"], ["--policies"]),
+        (["--trackers", "rp_ekf", "kalman"], ["'kalman'", "'rp_ekf'", "'fused_ekf'"]),
+        (["--flights", "no/such/file.csv"], ["no/such/file.csv"]),
+        (["--flights", "."], ["directory"]),
+        (["--episodes", "0"], ["--episodes 0"]),
+        (["--episodes", "-3"], ["--episodes -3"]),
+        (["--seed", "-1"], ["--seed -1"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_input_to_evaluate_is_refused_in_one_line(tmp_path, capsys, arguments, words):
+    out = tmp_path / "out"
+    assert_refused(capsys, out, evaluate(*arguments, "--out", out), *words)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", []),
+        ("a,b,c\n1,2,3\n", ["timestamp"]),
+        ("not a table at all", []),
+        (None, ["line 5", "latitude"]),
+    ],
+    ids=["empty", "columns", "text", "value"],
+)
+def test_malformed_flights_are_refused_in_one_line_that_names_the_file(tmp_path, capsys, content, words):
+    file = flights_file(tmp_path / "flights.csv")
+    if content is None:
+        lines = file.read_text().splitlines()
+        lines[4] = lines[4].replace(",0.0,", ",north,", 1)
+        content = "\n".join(lines)
+    file.write_text(content)
+    out = tmp_path / "out"
+    assert_refused(capsys, out, evaluate("--flights", file, "--episodes", 2, "--out", out), file, *words)
+
+
+def test_flights_that_are_too_short_are_refused_with_their_length(tmp_path, capsys):
+    """An episode lasts 90 s; the file's only flight 80."""
+    file = flights_file(tmp_path / "short.csv", rows=41)
+    out = tmp_path / "out"
+    assert_refused(capsys, out, evaluate("--flights", file, "--out", out), file, "80 s", "90 s")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--env", "passive/Nowhere-v0"], ["passive/Nowhere-v0"]),
+        (["--algo", "sac"], ["--algo sac", "ppo"]),
+        (["--timesteps", "0"], ["--timesteps 0"]),
+        (["--envs", "-8"], ["--envs -8"]),
+        (["--episodes", "0"], ["--episodes 0"]),
+        (["--seed", "-1"], ["--seed -1"]),
+        (["--device", "abacus"], ["--device abacus", "cpu"]),
+        (["--flights", "no/such/file.csv"], ["no/such/file.csv"]),
+        (["--resume"], ["config.json"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_input_to_train_is_refused_before_any_training(tmp_path, capsys, monkeypatch, arguments, words):
+    from stable_baselines3 import PPO
+
+    def too_late(*_, **__):
+        raise AssertionError("the training has begun")
+
+    monkeypatch.setattr(PPO, "learn", too_late)
+    out = tmp_path / "out"
+    assert_refused(capsys, out, cli.main(["train", *arguments, "--out", str(out)]), *words)
+
+
+FLAGS = {
+    "train": ("env", "algo", "timesteps", "seed", "envs", "device", "out", "resume", "episodes", "flights"),
+    "evaluate": ("policies", "trackers", "episodes", "seed", "flights", "out"),
+    "reproduce": ("runs", "seeds", "out"),
+    "benchmark": ("out", "quick"),
+    "list": (),
+}
+
+
+@pytest.mark.parametrize("command", FLAGS)
+def test_help_of_every_command_names_its_flags(capsys, command):
+    with pytest.raises(SystemExit) as ended:
+        cli.main([command, "--help"])
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert all(f"--{flag}" in printed for flag in FLAGS[command])
+
+
+def test_help_names_every_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert all(command in printed for command in FLAGS)
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["evaluate", "--episode", "3"], ["evaluate", "--episodes", "many"], []], ids=str)
+def test_misspelt_commands_and_flags_exit_with_2(capsys, arguments):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err
+
+
+def test_list_names_environments_policies_trackers_and_algorithms(capsys):
+    assert cli.main(["list"]) == 0
+    printed = capsys.readouterr().out
+    for name in ("passive/TwoStation-v0", *policy_names(), "rp_ekf", "fused_ekf", "ppo"):
+        assert name in printed
+
+
+def test_the_installed_command_runs():
+    script = Path(sys.executable).with_name("passive-env")
+    if not script.exists():
+        pytest.skip("the package is not installed in this environment")
+    done = subprocess.run([script, "evaluate", "passive/Nope-v0"], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert "passive/Nope-v0" in done.stderr
+    assert "Traceback" not in done.stderr

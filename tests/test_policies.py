@@ -1,0 +1,275 @@
+"""Fixed schedules, rules and the random policy: what they fly, and that they read nothing but the belief."""
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.fixed import Random, Schedule, Straight
+from agents.policy import Policy, make_policy, policy_names
+from agents.rules import TurnApart
+from passive_env import PassiveEnv, PassiveVectorEnv
+from passive_env.catalogue.two_station import TwoStation
+from passive_env.core import Simulation, map_rows
+from twin_worlds import fly, fly_twins
+
+
+def wrapped_deg(angle):
+    return (np.asarray(angle) + 180.0) % 360.0 - 180.0
+
+
+def headings_flown(policy, scenario, seed=0, episodes=1):
+    """Platform headings [k + 1, e, s] deg of whole episodes flown in the environment."""
+    env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=seed)
+    policy.reset(env.belief())
+    states = [env.world.platforms]
+    for _ in range(scenario.steps):
+        observation, *_ = env.step(env.simulation.actions.encode(policy.act(env.belief(), observation)))
+        states.append(env.world.platforms)
+    velocity = np.array(states)[..., 2:]
+    return np.degrees(np.arctan2(velocity[..., 1], velocity[..., 0]))
+
+
+# ------------------------------------------------------------------------------------------------ the paper's schedule
+
+
+@pytest.mark.parametrize(("name", "second_sense"), [("paper", 1), ("paper_opposed", -1)])
+@pytest.mark.parametrize("actions", ["continuous", "discrete"])
+def test_schedules_turn_20_degrees_in_the_papers_windows_and_at_no_other_time(name, second_sense, actions):
+    """Station 1 turns at 5°/s from 52 to 56 s, station 2 from 22 to 26 s; both head 45° before."""
+    scenario = TwoStation(course="paper", actions=actions)
+    heading = headings_flown(make_policy(name, scenario), scenario)[:, 0]
+    for k, (first, second) in enumerate(heading):
+        t = 2.0 * k
+        assert first == pytest.approx(45.0 + 5.0 * min(max(t - 52.0, 0.0), 4.0), abs=1e-4), t
+        assert second == pytest.approx(45.0 + second_sense * 5.0 * min(max(t - 22.0, 0.0), 4.0), abs=1e-4), t
+
+
+@pytest.mark.parametrize(("step_s", "steps"), [(0.5, 180), (1.0, 90), (3.0, 30), (4.0, 23), (60.0, 2)])
+def test_schedules_turn_20_degrees_whatever_the_step(step_s, steps):
+    """Where a step reaches over a window's edge it turns for the window's share of it."""
+    scenario = TwoStation(step_s=step_s, steps=steps)
+    heading = headings_flown(make_policy("paper", scenario), scenario)[:, 0]
+    np.testing.assert_allclose(wrapped_deg(heading[-1] - heading[0]), 20.0, atol=1e-3)
+    before = math.floor(22.0 / step_s)
+    np.testing.assert_allclose(wrapped_deg(heading[before] - heading[0]), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("limit", "turned"), [(2.5, 10.0), (5.0, 20.0), (10.0, 20.0), (45.0, 20.0), (0.0, 0.0)])
+def test_schedules_keep_the_papers_rate_as_far_as_the_limit_allows(limit, turned):
+    scenario = TwoStation(max_turn_rate_deg_s=limit)
+    heading = headings_flown(make_policy("paper", scenario), scenario)[:, 0]
+    np.testing.assert_allclose(wrapped_deg(heading[-1] - heading[0]), turned, atol=1e-3)
+
+
+def test_schedule_of_ones_own_windows_and_senses():
+    scenario = TwoStation(steps=10)
+    heading = headings_flown(Schedule(scenario, [(0.0, 2.0), (4.0, 10.0)], [-1, 1]), scenario)[:, 0]
+    np.testing.assert_allclose(wrapped_deg(heading[:, 0] - heading[0, 0]), [0.0, *[-10.0] * 10], atol=1e-4)
+    np.testing.assert_allclose(wrapped_deg(heading[:, 1] - heading[0, 1]), [0, 0, 0, 10, 20, 30, 30, 30, 30, 30, 30], atol=1e-4)
+
+
+def test_straight_holds_course():
+    scenario = TwoStation()
+    heading = headings_flown(make_policy("straight", scenario), scenario, episodes=3)
+    np.testing.assert_allclose(wrapped_deg(heading - heading[0]), 0.0, atol=1e-9)
+
+
+# ------------------------------------------------------------------------------------------------ turn apart
+
+
+def line_of_sight_deg(env):
+    """Mean direction [e] from the stations' midpoint to the tracks, and how far station 0 lies left of station 1."""
+    belief = env.belief()
+    middle = belief.platforms[:, :, :2].mean(axis=1)
+    to_tracks = belief.mean[..., :2] - middle[:, None]
+    unit = to_tracks / np.linalg.norm(to_tracks, axis=-1, keepdims=True)
+    x, y = unit.sum(axis=1).T
+    apart = belief.platforms[:, 0, :2] - belief.platforms[:, 1, :2]
+    return np.degrees(np.arctan2(y, x)), x * apart[:, 1] - y * apart[:, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "left_deg", "right_deg"), [("rule", 60.0, 80.0), ("rule_perpendicular", 90.0, 90.0), (None, 20.0, 130.0)]
+)
+@pytest.mark.parametrize("actions", ["continuous", "discrete"])
+def test_turn_apart_ends_on_both_sides_of_the_line_of_sight(name, left_deg, right_deg, actions):
+    """The left station goes left, whichever of the two it is; discrete turns of 10° end within half of one."""
+    scenario = TwoStation(actions=actions, steps=20)
+    policy = TurnApart(scenario, left_deg, right_deg) if name is None else make_policy(name, scenario)
+    env = PassiveVectorEnv(scenario, num_envs=40)
+    env.reset(seed=0)
+    sight, left_by = line_of_sight_deg(env)
+    heading = headings_flown(policy, scenario, seed=0, episodes=40)
+    off = wrapped_deg(heading[-1] - sight[:, None])
+    first_is_left = left_by > 0.0
+    assert 5 < first_is_left.sum() < 35
+    left, right = np.where(first_is_left[:, None], off, off[:, ::-1]).T
+    tolerance = 1e-3 if actions == "continuous" else 5.0 + 1e-3
+    np.testing.assert_allclose(left, left_deg, atol=tolerance)
+    np.testing.assert_allclose(right, -right_deg, atol=tolerance)
+
+
+def test_turn_apart_turns_the_shorter_way_at_the_limit_and_then_flies_straight():
+    scenario = TwoStation(steps=25)
+    heading = headings_flown(make_policy("rule", scenario), scenario, episodes=40)
+    turns = wrapped_deg(np.diff(heading, axis=0))
+    assert np.abs(turns).max() <= 10.0 + 1e-4
+    total = wrapped_deg(heading[-1] - heading[0])
+    np.testing.assert_allclose(turns.sum(axis=0), total, atol=1e-6)  # never more than half a circle
+    needed = np.ceil(np.abs(total) / 10.0 - 1e-6)
+    np.testing.assert_allclose((np.abs(turns) > 1e-4).sum(axis=0), needed, atol=0)
+    assert np.abs(turns[18:]).max() < 1e-4
+
+
+# ------------------------------------------------------------------------------------------------ random
+
+
+def test_random_policy_is_repeatable_and_spreads_over_the_box():
+    scenario = TwoStation(steps=30)
+    runs = [headings_flown(make_policy("random", scenario, seed), scenario, episodes=20) for seed in (3, 3, 4)]
+    assert np.array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0], runs[2])
+    shares = wrapped_deg(np.diff(runs[0], axis=0)) / 10.0
+    assert shares.min() == pytest.approx(-1.0, abs=0.02)
+    assert shares.max() == pytest.approx(1.0, abs=0.02)
+    assert abs(shares.mean()) < 3.3 / math.sqrt(3.0 * shares.size)
+
+
+def test_random_policy_repeats_itself_after_reset():
+    scenario = TwoStation(steps=5)
+    policy = make_policy("random", scenario, 1)
+    first, second = (headings_flown(policy, scenario, episodes=2) for _ in range(2))
+    assert np.array_equal(first, second)
+
+
+def test_random_commands_belong_to_the_episode_and_not_to_its_place_in_a_batch():
+    """So that an evaluation gives the same result however it is cut into blocks."""
+    scenario = TwoStation(steps=6)
+    whole = headings_flown(make_policy("random", scenario, 7), scenario, seed=10, episodes=5)
+    part = headings_flown(make_policy("random", scenario, 7), scenario, seed=12, episodes=3)
+    assert np.array_equal(whole[:, 2:], part)
+    assert len(np.unique(np.diff(whole, axis=0)[0])) == 10  # and no two platforms turn alike
+
+
+# ------------------------------------------------------------------------------------------------ all of them
+
+
+@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize("fields", [{}, {"detection_probability": 0.7, "false_bearings_mean": 1.0}], ids=str)
+def test_policies_depend_on_the_belief_only(monkeypatch, name, fields):
+    """The truth behind the same bearings is another: every command is the same."""
+    scenario = TwoStation(**fields)
+
+    def decide():
+        policy, begun = make_policy(name, scenario, 0), []
+
+        def act(belief, observation):
+            if not begun:
+                policy.reset(belief)
+                begun.append(True)
+            return policy.act(belief, observation)
+
+        return act
+
+    first, second = fly_twins(monkeypatch, scenario, decide, range(4))
+    assert not np.array_equal(first.truth[10], second.truth[10])
+    assert np.array_equal(first.commands, second.commands)
+
+
+@pytest.mark.parametrize("name", policy_names())
+def test_policies_obey_the_protocol(name):
+    scenario = TwoStation(targets=2, steps=4)
+    policy = make_policy(name, scenario)
+    assert isinstance(policy, Policy)
+    simulation = Simulation(scenario)
+    for episodes in (1, 3):
+        world = simulation.begin([np.random.default_rng(seed) for seed in range(episodes)])
+        belief = simulation.belief(world)
+        before = map_rows(np.copy, belief)
+        assert policy.reset(belief) is None
+        commands = policy.act(belief, simulation.observe(world))
+        assert commands.shape == (episodes, 2)
+        assert np.issubdtype(commands.dtype, np.floating)
+        assert np.abs(commands).max() <= 1.0
+        map_rows(np.testing.assert_array_equal, belief, before)
+
+
+@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"actions": "discrete"}, {"targets": 1}, {"targets": 6}, {"course": "flights"}, {"tracker": "fused_ekf"},
+        {"steps": 1}, {"station_speed_m_s": 0.0}, {"max_turn_rate_deg_s": 0.0},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_every_policy_flies_every_kind_of_scenario(name, fields):
+    scenario = TwoStation(**{"steps": 8, **fields})
+    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    policy = make_policy(name, scenario)
+    policy.reset(env.belief())
+    for _ in range(scenario.steps):
+        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
+        assert action in env.action_space
+        observation, *_ = env.step(action)
+
+
+@pytest.mark.parametrize("name", policy_names())
+def test_a_policy_decides_row_by_row(name):
+    """Batch equals loop."""
+    scenario = TwoStation(steps=6)
+    decide = {}
+
+    def acting(policy):
+        begun = []
+
+        def act(belief, observation):
+            if not begun:
+                policy.reset(belief)
+                begun.append(True)
+            return policy.act(belief, observation)
+
+        return act
+
+    decide["batch"] = fly(scenario, acting(make_policy(name, scenario)), range(4)).commands
+    for row in range(4):
+        alone = fly(scenario, acting(make_policy(name, scenario)), range(row, row + 1)).commands
+        np.testing.assert_allclose(np.array(decide["batch"])[:, row], np.array(alone)[:, 0], rtol=0, atol=1e-12)
+
+
+def test_policies_known_by_name():
+    assert {"paper", "paper_opposed", "straight", "random", "rule", "rule_perpendicular"} <= set(policy_names())
+    scenario = TwoStation()
+    assert isinstance(make_policy("paper", scenario), Schedule)
+    assert isinstance(make_policy("straight", scenario), Straight)
+    assert isinstance(make_policy("random", scenario), Random)
+    assert isinstance(make_policy("rule", scenario), TurnApart)
+
+
+@pytest.mark.parametrize("name", ["rules", "", "Paper", "learned"])
+def test_an_unknown_policy_is_an_error_that_lists_the_known_ones(name):
+    with pytest.raises(ValueError, match=rf"unknown policy '{name}'.*paper, .*rule"):
+        make_policy(name, TwoStation())
+
+
+def test_an_object_without_the_verbs_is_no_policy():
+    assert not isinstance(object(), Policy)
+    assert not isinstance(PassiveEnv(), Policy)
+
+
+def test_policies_run_in_a_plain_gymnasium_loop():
+    """The batch of one, as a user writes it."""
+    env = gym.make("passive/TwoStation-v0", steps=5)
+    policy = make_policy("rule", env.unwrapped.scenario)
+    observation, _ = env.reset(seed=0)
+    policy.reset(env.unwrapped.belief())
+    total, truncated = 0.0, False
+    while not truncated:
+        command = policy.act(env.unwrapped.belief(), observation[None])[0].astype(np.float32)
+        observation, reward, _, truncated, _ = env.step(command)
+        total += reward
+    assert math.isfinite(total)
