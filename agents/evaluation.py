@@ -22,7 +22,7 @@ from passive_env.vector_env import PassiveVectorEnv
 BLOCK = 1024
 """Episodes flown at once."""
 
-BASELINES = ("paper", "rule")
+BASELINES = ("paper", "rule", "rule_tuned")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3

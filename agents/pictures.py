@@ -17,7 +17,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocat
 from scipy.optimize import isotonic_regression
 
 from passive_env import render
-from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, series_color
+from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, curve_color, series_color
 
 DPI = 150
 PANEL_IN = 4.4
@@ -69,9 +69,9 @@ def range_error_over_time(
     figure = Figure(figsize=(8.0, 4.6), dpi=DPI, layout="constrained")
     axes = _plain_axes(figure, title, "time [s]", "mean range error [km]")
     for i, (name, error) in enumerate(curves.items()):
-        axes.plot(time_s, 1e-3 * np.asarray(error), color=series_color(i), **ERROR_LINE)
+        axes.plot(time_s, 1e-3 * np.asarray(error), color=curve_color(i), **ERROR_LINE)
         if name in bound:
-            axes.plot(time_s, 1e-3 * np.asarray(bound[name]), color=series_color(i), **BOUND_LINE)
+            axes.plot(time_s, 1e-3 * np.asarray(bound[name]), color=curve_color(i), **BOUND_LINE)
     _log_ticks(axes.yaxis, axes.set_yscale)
     axes.set_xlim(time_s[0], time_s[-1])
     _label_ends(axes, time_s[-1], {name: 1e-3 * float(error[-1]) for name, error in curves.items()})
@@ -102,7 +102,7 @@ def _label_ends(axes: Axes, at: float, ends_km: Mapping[str, float]) -> None:
     share = np.clip(np.nan_to_num(share, nan=1.0), 0.0, 1.0)
     offset = LABEL_GAP * np.arange(len(names))
     places = isotonic_regression(share - offset).x + offset
-    colors = {name: series_color(i) for i, name in enumerate(ends_km)}
+    colors = {name: curve_color(i) for i, name in enumerate(ends_km)}
     for name, place in zip(names, places, strict=True):
         leader = {"arrowstyle": "-", "color": colors[name], "shrinkA": 2, "shrinkB": 0, "relpos": (0, 0.5)}
         axes.annotate(

@@ -33,8 +33,15 @@ def check_names() -> None:
 
 def _is_ours(name: str) -> bool:
     """Our packages carry the distribution's name in their `__init__`."""
+    origin = _origin(name)
+    mark = f'DISTRIBUTION = "{OURS}"'
+    return origin is not None and mark in Path(origin).read_text(encoding="utf-8", errors="replace")
+
+
+def _origin(name: str) -> str | None:
+    """File that `import name` would run."""
     spec = util.find_spec(name)
-    return bool(spec and spec.origin and f'DISTRIBUTION = "{OURS}"' in Path(spec.origin).read_text(encoding="utf-8"))
+    return spec.origin if spec else None
 
 
 def _installed(distribution: str) -> bool:
@@ -54,6 +61,7 @@ def _owners(name: str) -> list[str]:
 def _message(name: str, owners: list[str]) -> str:
     return (
         f"passive_env needs its own top-level package {name!r}, but {' and '.join(owners) or 'another distribution'} "
-        f"installs a module of the same name. Install passive-env in a virtual environment of its own: "
+        f"installs a module of the same name ({name} is found at {_origin(name)}). "
+        f"Install passive-env in a virtual environment of its own: "
         f"python -m venv .venv, then .venv/bin/python -m pip install passive-env"
     )

@@ -13,7 +13,6 @@ from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
 from trackers.measurement import update_in_place
 from trackers.motion import predict_in_place
 
-
 FARTHEST_M = 1e9
 """Errors are cut here, and a tracker's NaN counts as this: a diverged filter must not leak into rewards."""
 

@@ -22,6 +22,9 @@ GRID = "#E3E3E3"
 SERIES = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY_BLUE)
 """Targets, tracks and policies, in order; yellow is left out (too pale on white), black is the stations'."""
 
+CURVES = (*SERIES, BLACK, "#8C564B")
+"""Curves of a diagram without stations: the same, then black and a brown that lies between the set's hues."""
+
 GOOD, BAD = BLUE, VERMILION
 """Better and worse than a baseline."""
 
@@ -29,3 +32,8 @@ GOOD, BAD = BLUE, VERMILION
 def series_color(i: int) -> str:
     """Colour of the i-th target, track or policy; the set repeats after six."""
     return SERIES[i % len(SERIES)]
+
+
+def curve_color(i: int) -> str:
+    """Colour of the i-th curve; the set repeats after eight."""
+    return CURVES[i % len(CURVES)]

@@ -327,7 +327,9 @@ def flights_file(path: Path, rows: int = 130) -> Path:
     for k in range(rows):
         longitude = 10.0 + 2.0 * k * 150.0 / 111319.49
         minute, second = divmod(2 * k, 60)
-        lines.append(f"2024-05-01 10:{minute:02d}:{second:02d}+00:00,abc123,TEST1,0.0,{longitude:.7f},30000,291.577,90.0,0")
+        lines.append(
+            f"2024-05-01 10:{minute:02d}:{second:02d}+00:00,abc123,TEST1,0.0,{longitude:.7f},30000,291.577,90.0,0"
+        )
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -455,7 +457,9 @@ def test_help_names_every_command(capsys):
     assert all(command in printed for command in FLAGS)
 
 
-@pytest.mark.parametrize("arguments", [["fly"], ["evaluate", "--episode", "3"], ["evaluate", "--episodes", "many"], []], ids=str)
+@pytest.mark.parametrize(
+    "arguments", [["fly"], ["evaluate", "--episode", "3"], ["evaluate", "--episodes", "many"], []], ids=str
+)
 def test_misspelt_commands_and_flags_exit_with_2(capsys, arguments):
     with pytest.raises(SystemExit) as ended:
         cli.main(arguments)
@@ -474,7 +478,9 @@ def test_the_installed_command_runs():
     script = Path(sys.executable).with_name("passive-env")
     if not script.exists():
         pytest.skip("the package is not installed in this environment")
-    done = subprocess.run([script, "evaluate", "passive/Nope-v0"], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [script, "evaluate", "passive/Nope-v0"], capture_output=True, text=True, timeout=120, check=False
+    )
     assert done.returncode == 2
     assert "passive/Nope-v0" in done.stderr
     assert "Traceback" not in done.stderr

@@ -5,6 +5,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from twin_worlds import fly, fly_twins
 
 from agents.fixed import Random, Schedule, Straight
 from agents.policy import Policy, make_policy, policy_names
@@ -12,7 +13,6 @@ from agents.rules import TurnApart
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
-from twin_worlds import fly, fly_twins
 
 
 def wrapped_deg(angle):
@@ -68,7 +68,9 @@ def test_schedule_of_ones_own_windows_and_senses():
     scenario = TwoStation(steps=10)
     heading = headings_flown(Schedule(scenario, [(0.0, 2.0), (4.0, 10.0)], [-1, 1]), scenario)[:, 0]
     np.testing.assert_allclose(wrapped_deg(heading[:, 0] - heading[0, 0]), [0.0, *[-10.0] * 10], atol=1e-4)
-    np.testing.assert_allclose(wrapped_deg(heading[:, 1] - heading[0, 1]), [0, 0, 0, 10, 20, 30, 30, 30, 30, 30, 30], atol=1e-4)
+    np.testing.assert_allclose(
+        wrapped_deg(heading[:, 1] - heading[0, 1]), [0, 0, 0, 10, 20, 30, 30, 30, 30, 30, 30], atol=1e-4
+    )
 
 
 def test_straight_holds_course():

@@ -120,7 +120,12 @@ def test_logged_curves_hold_the_evaluation_on_the_way(finished):
     events = EventAccumulator(str(folder))
     events.Reload()
     tags = set(events.Tags()["scalars"])
-    assert {"rollout/ep_rew_mean", "rollout/final_range_error_m", "eval/final_range_error_m", "eval/ratio_to_paper"} <= tags
+    assert {
+        "rollout/ep_rew_mean",
+        "rollout/final_range_error_m",
+        "eval/final_range_error_m",
+        "eval/ratio_to_paper",
+    } <= tags
     assert [event.step for event in events.Scalars("rollout/ep_rew_mean")] == [ROLLOUT * k for k in (1, 2, 3, 4)]
     for event in events.Scalars("eval/final_range_error_m"):
         assert 10.0 < event.value < 1e5
@@ -307,7 +312,12 @@ def test_evaluate_command_refuses_a_damaged_run_in_one_line(copied, tmp_path, ca
 
 @pytest.mark.parametrize(
     ("changes", "word"),
-    [({"algo": "dreams"}, "ppo"), ({"timesteps": 0}, "timesteps"), ({"timesteps": -1}, "timesteps"), ({"envs": 0}, "envs")],
+    [
+        ({"algo": "dreams"}, "ppo"),
+        ({"timesteps": 0}, "timesteps"),
+        ({"timesteps": -1}, "timesteps"),
+        ({"envs": 0}, "envs"),
+    ],
     ids=str,
 )
 def test_impossible_plans_are_refused(tmp_path, changes, word):
@@ -350,7 +360,9 @@ def test_a_killed_run_resumes_and_ends_with_exactly_the_same_policy(tmp_path):
     """SIGKILL after the first checkpoint; what came after it is lost, and is repeated to the bit."""
     folder, script = tmp_path / "killed", tmp_path / "killed.py"
     script.write_text(KILLED)
-    process = subprocess.Popen([sys.executable, script, folder, Path(__file__).parent], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, script, folder, Path(__file__).parent], stderr=subprocess.PIPE, text=True
+    )
     deadline = time.monotonic() + 120.0
     while not (folder / CHECKPOINT).exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -518,9 +530,7 @@ def test_attributes_methods_and_pictures():
     assert len(env.env_method("belief")) == 2
     assert env.env_is_wrapped(VecMonitor) == [False, False]
     assert list(env.get_images()) == [None, None]
-    pictured = Sb3VecEnv(
-        PassiveVectorEnv(num_envs=2, autoreset_mode="same_step", steps=2, render_mode="rgb_array")
-    )
+    pictured = Sb3VecEnv(PassiveVectorEnv(num_envs=2, autoreset_mode="same_step", steps=2, render_mode="rgb_array"))
     pictured.reset()
     pictures = pictured.get_images()
     assert len(pictures) == 2

@@ -1,4 +1,4 @@
-"""The world: tapes, kinematics, sensors, rewards, metrics, scenarios, a user's own tracker; and no leak of the truth."""
+"""The world: tapes, kinematics, sensors, rewards, metrics, scenarios, one's own tracker; and no leak of the truth."""
 
 import dataclasses
 import importlib.util
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom, chi2, poisson
+from twin_worlds import SHIFT, fly, fly_twins
 
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
@@ -26,7 +27,6 @@ from passive_env.rewards import TERMS, Moment
 from passive_env.sensors import sense
 from trackers import Gaussian, Scan, Tracker, Update
 from trackers.bounds import posterior_bound_information
-from twin_worlds import SHIFT, fly, fly_twins
 
 TAIL = 5e-4
 """Probability on each side of a statistical band that a right program falls outside (seeds are fixed)."""
@@ -59,7 +59,12 @@ def begin(episodes, **fields):
 
 @pytest.mark.parametrize(
     "fields",
-    [{}, {"tracker": "fused_ekf"}, {"detection_probability": 0.7, "false_bearings_mean": 1.0}, {"bearings": "reference"}],
+    [
+        {},
+        {"tracker": "fused_ekf"},
+        {"detection_probability": 0.7, "false_bearings_mean": 1.0},
+        {"bearings": "reference"},
+    ],
     ids=str,
 )
 def test_observations_do_not_change_when_the_truth_behind_the_same_bearings_does(monkeypatch, fields):
@@ -199,7 +204,9 @@ def test_speed_is_constant_and_the_path_a_circle_when_turning():
         state = turn(state, np.array([rate]), 2.0)
         assert math.hypot(*state[0, 2:]) == pytest.approx(250.0, rel=1e-12)
         assert math.dist(state[0, :2], center) == pytest.approx(250.0 / rate, rel=1e-12)
-        assert wrapped(math.atan2(state[0, 3], state[0, 2]) - (math.pi / 2.0 + 2.0 * k * rate)) == pytest.approx(0.0, abs=1e-9)
+        assert wrapped(math.atan2(state[0, 3], state[0, 2]) - (math.pi / 2.0 + 2.0 * k * rate)) == pytest.approx(
+            0.0, abs=1e-9
+        )
 
 
 @pytest.mark.parametrize("turn_rate", TURN_RATES)
@@ -280,7 +287,9 @@ def test_paper_targets_follow_the_papers_timeline(course, headings, senses):
             expected = min(250.0 + 10.0 * max(t - 22.0, 0.0), final)
             assert math.hypot(vx, vy) == pytest.approx(expected, abs=1e-9)
             turned = 5.0 * min(max(t - 22.0, 0.0), 4.0) * senses[paper]
-            assert math.degrees(wrapped(math.atan2(vy, vx) - math.radians(headings[paper] + turned))) == pytest.approx(0.0, abs=1e-9)
+            assert math.degrees(wrapped(math.atan2(vy, vx) - math.radians(headings[paper] + turned))) == pytest.approx(
+                0.0, abs=1e-9
+            )
 
 
 def test_paper_stations_start_as_the_paper_says():
@@ -312,7 +321,9 @@ def test_recorded_flights_keep_shape_and_speed():
         rotation = np.array(turned) / np.array(along)  # a mirror image would not turn all hops by one angle
         np.testing.assert_allclose(rotation, rotation[0], atol=1e-7)
         np.testing.assert_allclose(np.hypot(path[:, 2], path[:, 3]), np.hypot(window[:, 3], window[:, 4]), atol=1e-9)
-        velocity = np.array([complex(*row) for row in path[:, 2:]]) / np.array([complex(*row) for row in window[:, 3:5]])
+        velocity = np.array([complex(*row) for row in path[:, 2:]]) / np.array(
+            [complex(*row) for row in window[:, 3:5]]
+        )
         np.testing.assert_allclose(velocity, rotation[0], atol=1e-7)
 
 
@@ -334,7 +345,7 @@ def test_flights_start_where_drawn_targets_would():
 @pytest.mark.parametrize("targets", [1, 3, 6])
 def test_acquisition_scan_is_complete_and_counter_clockwise(targets):
     """Whatever the scenario's misses and false bearings, and wherever the seam at ±180° lies."""
-    simulation, world = begin(300, targets=targets, detection_probability=0.3, false_bearings_mean=3.0)
+    _, world = begin(300, targets=targets, detection_probability=0.3, false_bearings_mean=3.0)
     sighting = sense(world.tape, world.step, world.platforms, math.radians(0.5), in_order=True)
     bearings, valid = sighting.scan.bearings, sighting.scan.valid
     assert np.array_equal(valid.sum(axis=-1), np.full((300, 2), targets))
@@ -434,7 +445,7 @@ def moment(**changes) -> Moment:
     platforms = np.array([[[0.0, 0.0, 250.0, 0.0], [10e3, 0.0, 250.0, 0.0]]])
     truth = np.array([[[0.0, 3e3, 1.0, 1.0], [10e3, 40e3, 1.0, 1.0]]])
     values = {"metrics": now, "previous": before, "command": np.array([[1.0, -0.5]]), "platforms": platforms}
-    return Moment(**{**values, "truth": truth, "standoff_m": 12e3, **changes})
+    return Moment(**{**values, "truth": truth, "standoff_m": 12e3, "final": np.array([True]), **changes})
 
 
 @pytest.mark.parametrize(
@@ -443,6 +454,7 @@ def moment(**changes) -> Moment:
         ("log_range_error", -(math.log(2.0) + math.log(0.5)) / 2.0),
         ("relative_range_error", -(2000.0 / 40e3 + 500.0 / 10e3) / 2.0),
         ("log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
+        ("final_log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
         ("information_gain", (math.log(4.0) + math.log(2.0)) / 2.0),
         ("maneuver", -(1.0 + 0.25) / 2.0),
         # Station 0 is 3 km from target 0; station 1 is √109 km from it; both are 40 km or more from target 1.
@@ -456,7 +468,8 @@ def test_reward_term_by_hand(term, expected):
 
 def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
     assert set(TERMS) == {
-        "log_range_error", "relative_range_error", "log_range_bound", "information_gain", "maneuver", "standoff", "lost_track",
+        "log_range_error", "relative_range_error", "log_range_bound", "final_log_range_bound", "information_gain",
+        "maneuver", "standoff", "lost_track",
     }  # fmt: skip
     weights = {f.name for f in dataclasses.fields(TwoStation) if f.name.startswith("reward_")}
     assert weights == {f"reward_{term}" for term in TERMS}
@@ -469,30 +482,35 @@ def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off(
     far = metrics._replace(range_error_m=np.array([[1e9, 1000.0]]))
     assert TERMS["relative_range_error"](moment(metrics=far)) == pytest.approx(np.array([-(10.0 + 0.1) / 2.0]))
     assert TERMS["standoff"](moment(standoff_m=0.0)) == pytest.approx(np.array([0.0]))
+    assert TERMS["final_log_range_bound"](moment(final=np.array([False]))) == pytest.approx(np.array([0.0]))
 
 
 def test_rewards_in_the_environment_are_the_weighted_terms():
     weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(TERMS)}
-    env = PassiveEnv(standoff_m=1e5, lost_error_m=500.0, lost_nees=1.0, **weights)
+    env = PassiveEnv(steps=20, standoff_m=1e5, lost_error_m=500.0, lost_nees=1.0, **weights)
     _, info = env.reset(seed=1)
     for k in range(20):
         previous = info["range_crlb_m"]
         action = np.array([0.9, -0.1 * (k % 5)])
-        _, reward, _, _, info = env.step(action)
+        _, reward, _, truncated, info = env.step(action)
         gap = np.linalg.norm(env.world.platforms[0, :, None, :2] - env.world.truth[0, None, :, :2], axis=-1)
         expected = {
             "log_range_error": -np.log(np.maximum(info["range_error_m"], 30.0) / 1e3).mean(),
             "relative_range_error": -(info["range_error_m"] / info["range_m"]).mean(),
             "log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean(),
+            "final_log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean() * truncated,
             "information_gain": np.log(previous / info["range_crlb_m"]).mean(),
             "maneuver": -np.square(action).mean(),
             "standoff": -np.maximum(0.0, 1.0 - gap / 1e5).sum(),
             "lost_track": -info["lost"].mean(),
         }
         for name, value in expected.items():
-            assert info["reward_terms"][name] == pytest.approx(weights[f"reward_{name}"] * value, rel=1e-9, abs=1e-12), name
+            assert info["reward_terms"][name] == pytest.approx(
+                weights[f"reward_{name}"] * value, rel=1e-9, abs=1e-12
+            ), name
         assert reward == pytest.approx(sum(info["reward_terms"].values()), rel=1e-12)
     assert info["lost"].any()
+    assert truncated
 
 
 def test_standoff_counts_only_where_a_distance_is_set():
