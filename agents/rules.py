@@ -59,5 +59,5 @@ RULES = {
     "rule_perpendicular": lambda scenario, seed: TurnApart(scenario, 90.0, 90.0),
 }
 """Makers (scenario, seed). `rule` is the specification's variant, the better one than perpendicular in the mean final
-range error; `rule_tuned` is the strongest found: it follows the line of sight; its angle is the best of a grid from 45° to 90°
-tuned on seeds that no evaluation uses."""
+range error; `rule_tuned` is the strongest found: it follows the line of sight, its angle being the best of a grid from
+45° to 90° on seeds that no evaluation uses."""

@@ -28,76 +28,89 @@ def _clip(value):
     return min(max(value, -LIMIT), LIMIT) if value == value else 0.0
 
 
-@kernel(
-    "(),(s,x),(m,x),(m,x,x),(m,s),(a),(d)->(d)",
-    "ffffbfgg",
-)
-def _observe(time_left, platforms, mean, cov, assigned, last_action, like, out):
-    n_stations, n_tracks = platforms.shape[0], mean.shape[0]
-    ref = n_stations - 1
-    rx, ry = platforms[ref, 0], platforms[ref, 1]
-    cx = cy = 0.0
-    for m in range(n_tracks):
-        cx, cy = cx + mean[m, 0] / n_tracks, cy + mean[m, 1] / n_tracks
-    ox = oy = 0.0
-    for s in range(n_stations):
-        ox, oy = ox + platforms[s, 0] / n_stations, oy + platforms[s, 1] / n_stations
-    psi = math.atan2(cy - oy, cx - ox)
-    c, s_ = math.cos(psi), math.sin(psi)
-    i = 0
-    out[i] = time_left
-    i += 1
-    for s in range(n_stations):
-        dx, dy = platforms[s, 0] - rx, platforms[s, 1] - ry
-        speed = max(math.hypot(platforms[s, 2], platforms[s, 3]), 1e-9)
-        if s != ref:
-            out[i] = _clip((c * dx + s_ * dy) / 2e4)
-            out[i + 1] = _clip((c * dy - s_ * dx) / 2e4)
+@helper
+def _mean_sight(platforms, mean):
+    """Cosine and sine of the mean line of sight ψ, from the platforms' midpoint to the middle of the tracks."""
+    dx = dy = 0.0
+    for m in range(mean.shape[0]):
+        dx, dy = dx + mean[m, 0] / mean.shape[0], dy + mean[m, 1] / mean.shape[0]
+    for s in range(platforms.shape[0]):
+        dx, dy = dx - platforms[s, 0] / platforms.shape[0], dy - platforms[s, 1] / platforms.shape[0]
+    psi = math.atan2(dy, dx)
+    return math.cos(psi), math.sin(psi)
+
+
+@helper
+def _write_platforms(platforms, c, s, out, i):
+    """Platforms relative to the reference and their headings, in the frame of ψ; returns the next index."""
+    ref = platforms.shape[0] - 1
+    for p in range(platforms.shape[0]):
+        vx, vy = platforms[p, 2], platforms[p, 3]
+        speed = max(math.hypot(vx, vy), 1e-9)
+        if p != ref:
+            dx, dy = platforms[p, 0] - platforms[ref, 0], platforms[p, 1] - platforms[ref, 1]
+            out[i], out[i + 1] = (c * dx + s * dy) / 2e4, (c * dy - s * dx) / 2e4
             i += 2
-        out[i] = (c * platforms[s, 2] + s_ * platforms[s, 3]) / speed
-        out[i + 1] = (c * platforms[s, 3] - s_ * platforms[s, 2]) / speed
+        out[i], out[i + 1] = (c * vx + s * vy) / speed, (c * vy - s * vx) / speed
         i += 2
-    for a in range(last_action.shape[0]):
-        out[i] = last_action[a]
-        i += 1
-    for m in range(n_tracks):
-        dx, dy = mean[m, 0] - rx, mean[m, 1] - ry
-        r = max(math.hypot(dx, dy), 1.0)
-        ur, ut = dx / r, dy / r
-        out[i] = _clip(math.log(r / 5e4))
-        out[i + 1], out[i + 2] = c * ur + s_ * ut, c * ut - s_ * ur
-        out[i + 3] = _clip((ur * mean[m, 2] + ut * mean[m, 3]) / 300.0)
-        out[i + 4] = _clip((ur * mean[m, 3] - ut * mean[m, 2]) / 300.0)
-        i += 5
-        for s in range(n_stations):
-            if s != ref:
-                ex, ey = mean[m, 0] - platforms[s, 0], mean[m, 1] - platforms[s, 1]
-                e = max(math.hypot(ex, ey), 1.0)
-                out[i] = _clip(math.log(e / 5e4))
-                out[i + 1] = (ur * ey - ut * ex) / e
-                i += 2
-        # Covariance in the line-of-sight frame: rows radial, cross, radial velocity, cross velocity.
-        p = cov[m]
-        a00 = ur * ur * p[0, 0] + 2.0 * ur * ut * p[0, 1] + ut * ut * p[1, 1]
-        a11 = ut * ut * p[0, 0] - 2.0 * ur * ut * p[0, 1] + ur * ur * p[1, 1]
-        a01 = ur * ut * (p[1, 1] - p[0, 0]) + (ur * ur - ut * ut) * p[0, 1]
-        v00 = ur * ur * p[2, 2] + 2.0 * ur * ut * p[2, 3] + ut * ut * p[3, 3]
-        v11 = ut * ut * p[2, 2] - 2.0 * ur * ut * p[2, 3] + ur * ur * p[3, 3]
-        v01 = ur * ut * (p[3, 3] - p[2, 2]) + (ur * ur - ut * ut) * p[2, 3]
-        b00 = ur * (ur * p[0, 2] + ut * p[0, 3]) + ut * (ur * p[1, 2] + ut * p[1, 3])
-        b01 = ur * (ur * p[0, 3] - ut * p[0, 2]) + ut * (ur * p[1, 3] - ut * p[1, 2])
-        b10 = ur * (ur * p[1, 2] + ut * p[1, 3]) - ut * (ur * p[0, 2] + ut * p[0, 3])
-        b11 = ur * (ur * p[1, 3] - ut * p[1, 2]) - ut * (ur * p[0, 3] - ut * p[0, 2])
-        d0, d1 = math.sqrt(max(a00, 1e-6)), math.sqrt(max(a11, 1e-6))
-        d2, d3 = math.sqrt(max(v00, 1e-6)), math.sqrt(max(v11, 1e-6))
-        out[i], out[i + 1] = _clip(math.log(d0 / 1e3) / 2.0), _clip(math.log(d1 / 1e3) / 2.0)
-        out[i + 2], out[i + 3] = _clip(math.log(d2 / 50.0) / 2.0), _clip(math.log(d3 / 50.0) / 2.0)
-        out[i + 4], out[i + 5], out[i + 6] = _clip(a01 / (d0 * d1)), _clip(b00 / (d0 * d2)), _clip(b01 / (d0 * d3))
-        out[i + 7], out[i + 8], out[i + 9] = _clip(b10 / (d1 * d2)), _clip(b11 / (d1 * d3)), _clip(v01 / (d2 * d3))
-        i += 10
-        for s in range(n_stations):
-            out[i] = 1.0 if assigned[m, s] else 0.0
-            i += 1
+    return i
+
+
+@helper
+def _write_track(x, platforms, c, s, out, i):
+    """Range, bearing and velocity of a track from the reference, range and crossing angle from the other platforms."""
+    ref = platforms.shape[0] - 1
+    dx, dy = x[0] - platforms[ref, 0], x[1] - platforms[ref, 1]
+    r = max(math.hypot(dx, dy), 1.0)
+    a, b = dx / r, dy / r
+    out[i] = math.log(r / 5e4)
+    out[i + 1], out[i + 2] = c * a + s * b, c * b - s * a
+    out[i + 3], out[i + 4] = (a * x[2] + b * x[3]) / 300.0, (a * x[3] - b * x[2]) / 300.0
+    i += 5
+    for p in range(ref):
+        ex, ey = x[0] - platforms[p, 0], x[1] - platforms[p, 1]
+        e = max(math.hypot(ex, ey), 1.0)
+        out[i], out[i + 1] = math.log(e / 5e4), (a * ey - b * ex) / e
+        i += 2
+    return i, a, b
+
+
+@helper
+def _write_covariance(P, a, b, out, i):
+    """Log standard deviations and correlations in the line-of-sight frame (a, b): radial, cross, and their rates."""
+    p00 = a * a * P[0, 0] + 2.0 * a * b * P[0, 1] + b * b * P[1, 1]
+    p11 = b * b * P[0, 0] - 2.0 * a * b * P[0, 1] + a * a * P[1, 1]
+    p01 = a * b * (P[1, 1] - P[0, 0]) + (a * a - b * b) * P[0, 1]
+    v00 = a * a * P[2, 2] + 2.0 * a * b * P[2, 3] + b * b * P[3, 3]
+    v11 = b * b * P[2, 2] - 2.0 * a * b * P[2, 3] + a * a * P[3, 3]
+    v01 = a * b * (P[3, 3] - P[2, 2]) + (a * a - b * b) * P[2, 3]
+    c00 = a * (a * P[0, 2] + b * P[0, 3]) + b * (a * P[1, 2] + b * P[1, 3])
+    c01 = a * (a * P[0, 3] - b * P[0, 2]) + b * (a * P[1, 3] - b * P[1, 2])
+    c10 = a * (a * P[1, 2] + b * P[1, 3]) - b * (a * P[0, 2] + b * P[0, 3])
+    c11 = a * (a * P[1, 3] - b * P[1, 2]) - b * (a * P[0, 3] - b * P[0, 2])
+    d0, d1 = math.sqrt(max(p00, 1e-6)), math.sqrt(max(p11, 1e-6))
+    d2, d3 = math.sqrt(max(v00, 1e-6)), math.sqrt(max(v11, 1e-6))
+    out[i], out[i + 1] = math.log(d0 / 1e3) / 2.0, math.log(d1 / 1e3) / 2.0
+    out[i + 2], out[i + 3] = math.log(d2 / 50.0) / 2.0, math.log(d3 / 50.0) / 2.0
+    out[i + 4], out[i + 5], out[i + 6] = p01 / (d0 * d1), c00 / (d0 * d2), c01 / (d0 * d3)
+    out[i + 7], out[i + 8], out[i + 9] = c10 / (d1 * d2), c11 / (d1 * d3), v01 / (d2 * d3)
+    return i + 10
+
+
+@kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(d)->(d)", "ffffbfgg")
+def _observe(time_left, platforms, mean, cov, assigned, last_action, like, out):
+    c, s = _mean_sight(platforms, mean)
+    out[0] = time_left
+    i = _write_platforms(platforms, c, s, out, 1)
+    for k in range(last_action.shape[0]):
+        out[i + k] = last_action[k]
+    i += last_action.shape[0]
+    for m in range(mean.shape[0]):
+        i, a, b = _write_track(mean[m], platforms, c, s, out, i)
+        i = _write_covariance(cov[m], a, b, out, i)
+        for p in range(platforms.shape[0]):
+            out[i + p] = 1.0 if assigned[m, p] else 0.0
+        i += platforms.shape[0]
     for k in range(i):  # a diverged tracker's NaN reads 0
         out[k] = _clip(out[k])
 

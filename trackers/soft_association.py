@@ -70,6 +70,22 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
 
 
 @helper
+def _update_branches(x, P, z, stations, var, k_opt, kept, weight, own, parent, option, x_out, P_out, lw_out, own_out):
+    """Copy each kept branch's parent and condition it on the branch's returns; the remaining places are cleared."""
+    for i in range(x.shape[0]):
+        if i >= kept:
+            clear_hypothesis(x_out[i], P_out[i])
+            lw_out[i] = own_out[i] = PRUNED
+            continue
+        copy_hypothesis(x[parent[i]], P[parent[i]], x_out[i], P_out[i])
+        lw_out[i], own_out[i] = weight[i], own[i]
+        for s in range(stations.shape[0]):
+            k = k_opt[option[i], s]
+            if k >= 0:
+                update_in_place(x_out[i], P_out[i], z[s, k], stations[s, 0], stations[s, 1], var)
+
+
+@helper
 def _merge(x, P, lw, own, factor, dx, delta):
     """Merge branches of one track that lie within `MERGE` of a heavier one (moments are preserved)."""
     n, d = x.shape
@@ -143,8 +159,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
                        options, k_opt, nu, S, line, marks, inside,
                        x_out, P_out, lw_out, own_out, nu_out, S_out, assignment, evidence):  # fmt: skip
     """Inputs from `options` to `inside` are scratch (`_scratch`), shared by all items of a call."""
-    n_tracks, n_hyp = lw.shape
-    n_stations = z.shape[0]
+    n_tracks, n_stations = lw.shape[0], z.shape[0]
     two = n_stations == 2
     var = std * std
     c_opt, share, log_likelihood = options[:, :, 0], options[:, :, 1], options[:, :, 2:]
@@ -169,31 +184,13 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             assignment[j, s] = k
             nu_out[j, s], S_out[j, s] = _mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
         kept = _select_branches(
-            lw[j],
-            log_likelihood[j],
-            k_opt[j],
-            share[j],
-            count[j],
-            hit,
-            miss,
-            two,
-            c_opt[j],
-            weight,
-            own,
-            parent,
-            option,
-        )
-        for i in range(n_hyp):
-            if i >= kept:
-                clear_hypothesis(x_out[j, i], P_out[j, i])
-                lw_out[j, i] = own_out[j, i] = PRUNED
-                continue
-            copy_hypothesis(x[j, parent[i]], P[j, parent[i]], x_out[j, i], P_out[j, i])
-            lw_out[j, i], own_out[j, i] = weight[i], own[i]
-            for s in range(n_stations):
-                k = k_opt[j, option[i], s]
-                if k >= 0:
-                    update_in_place(x_out[j, i], P_out[j, i], z[s, k], stations[s, 0], stations[s, 1], var)
+            lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
+            weight, own, parent, option,
+        )  # fmt: skip
+        _update_branches(
+            x[j], P[j], z, stations, var, k_opt[j], kept, weight, own, parent, option,
+            x_out[j], P_out[j], lw_out[j], own_out[j],
+        )  # fmt: skip
         reweight(lw_out[j], log_prune)
         for i in range(kept):
             if lw_out[j, i] <= PRUNED:
