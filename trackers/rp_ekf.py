@@ -145,7 +145,8 @@ def _predict(x, P, lw, T, q, x_out, P_out):
 
 def predict(bank: Bank, step_s, velocity_std) -> Bank:
     """Propagate every hypothesis by one step (`trackers.motion`); weights are unchanged, removed ones are zeroed."""
-    return Bank(*_predict(bank.mean, bank.cov, bank.log_weights, step_s, velocity_std), bank.log_weights)
+    mean, cov = _predict(bank.mean, bank.cov, bank.log_weights, step_s, velocity_std)
+    return Bank(mean, cov, bank.log_weights)
 
 
 @kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffffffff")

@@ -9,9 +9,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
-
 from agents.files import write_json, write_text
+from agents.presets import load_preset
 from agents.reproduction.report import markdown_table
 from agents.training import versions
 from trackers.compiled import available_cores
@@ -58,13 +57,13 @@ def meets(value: float, goal: str | None) -> bool | None:
 
 
 def machine(quick: bool) -> dict[str, Any]:
-    """Processor, cores and threads, versions; nothing that names the computer."""
+    """Processor, cores, threads of the environment and of torch in training, versions; no computer's name."""
     rivals = {name: _version(name) for name in RIVALS}
     return {
         "processor": processor_name(),
         "cores": available_cores(),
         "threads": available_cores(),
-        "torch_threads": torch.get_num_threads(),
+        "torch_threads": load_preset("TwoStation", "ppo").get("torch_threads", 1),
         "platform": f"{platform.system()} {platform.machine()}",
         "quick": quick,
         **versions(),
