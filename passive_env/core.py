@@ -6,6 +6,7 @@ world and the action: a `World` is never changed in place, so a planner may keep
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -153,8 +154,12 @@ def _all_stations(assigned: np.ndarray, stations: int) -> np.ndarray:
 
 
 def map_rows(function: Any, *trees: Any) -> Any:
-    """Apply a function to corresponding arrays of equal nestings of tuples (worlds, tracker states)."""
+    """Apply a function to corresponding arrays of equal nestings of tuples and dataclasses (worlds, tracker states)."""
     first = trees[0]
+    if dataclasses.is_dataclass(first):
+        names = [f.name for f in dataclasses.fields(first)]
+        parts = {name: map_rows(function, *(getattr(tree, name) for tree in trees)) for name in names}
+        return dataclasses.replace(first, **parts)
     if isinstance(first, tuple):
         parts = [map_rows(function, *children) for children in zip(*trees, strict=True)]
         return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)

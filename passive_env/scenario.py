@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -79,5 +78,5 @@ def _check(owner: str, name: str, value: Any, rule: Any) -> None:
     numeric = isinstance(value, int) or (kind == "number" and isinstance(value, float))
     if isinstance(value, bool) or not numeric:
         raise ValueError(f"{owner}.{name} = {value!r}: must be {'an integer' if kind == 'integer' else 'a number'}")
-    if not math.isfinite(value) or not rule["low"] <= value <= rule["high"]:
+    if not rule["low"] <= value <= rule["high"]:  # NaN compares False
         raise ValueError(f"{owner}.{name} = {value!r}: must lie in [{rule['low']}, {rule['high']}]")

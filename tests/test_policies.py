@@ -83,12 +83,10 @@ def test_straight_holds_course():
 
 
 def line_of_sight_deg(env):
-    """Mean direction [e] from the stations' midpoint to the tracks, and how far station 0 lies left of station 1."""
+    """Direction [e] from the stations' midpoint to the tracks' middle, and how far station 0 lies left of station 1."""
     belief = env.belief()
     middle = belief.platforms[:, :, :2].mean(axis=1)
-    to_tracks = belief.mean[..., :2] - middle[:, None]
-    unit = to_tracks / np.linalg.norm(to_tracks, axis=-1, keepdims=True)
-    x, y = unit.sum(axis=1).T
+    x, y = (belief.mean[..., :2].mean(axis=1) - middle).T
     apart = belief.platforms[:, 0, :2] - belief.platforms[:, 1, :2]
     return np.degrees(np.arctan2(y, x)), x * apart[:, 1] - y * apart[:, 0]
 
@@ -112,6 +110,24 @@ def test_turn_apart_ends_on_both_sides_of_the_line_of_sight(name, left_deg, righ
     tolerance = 1e-3 if actions == "continuous" else 5.0 + 1e-3
     np.testing.assert_allclose(left, left_deg, atol=tolerance)
     np.testing.assert_allclose(right, -right_deg, atol=tolerance)
+
+
+def test_turn_apart_that_follows_keeps_its_angle_to_the_line_of_sight_of_the_moment():
+    scenario = TwoStation(steps=30)
+    policy = TurnApart(scenario, 40.0, 100.0, follow=True)
+    env = PassiveVectorEnv(scenario, num_envs=40, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    policy.reset(env.belief())
+    first_sight, _ = line_of_sight_deg(env)
+    for _ in range(30):
+        sight, left_by = line_of_sight_deg(env)
+        observation, *_ = env.step(policy.act(env.belief(), observation))
+    velocity = env.world.platforms[..., 2:]
+    off = wrapped_deg(np.degrees(np.arctan2(velocity[..., 1], velocity[..., 0])) - sight[:, None])
+    left, right = np.where((left_by > 0.0)[:, None], off, off[:, ::-1]).T
+    np.testing.assert_allclose(left, 40.0, atol=1e-6)
+    np.testing.assert_allclose(right, -100.0, atol=1e-6)
+    assert np.abs(wrapped_deg(sight - first_sight)).max() > 5.0  # the line of sight has moved meanwhile
 
 
 def test_turn_apart_turns_the_shorter_way_at_the_limit_and_then_flies_straight():

@@ -651,7 +651,9 @@ def test_every_field_states_what_is_allowed():
 def test_numbers_outside_their_limits_are_errors_that_name_field_value_and_limits(f):
     low, high = f.metadata["low"], f.metadata["high"]
     whole = f.metadata["kind"] == "integer"
-    for value in (low - 1, high + 1) if whole else (low - 0.01, high * 1.01 + 0.01, math.nan, math.inf, -math.inf):
+    for value in (
+        (low - 1, high + 1) if whole else (low - 0.01, high * 1.01 + 0.01, math.nan, math.inf, -math.inf, 10**400)
+    ):
         with pytest.raises(ValueError) as caught:
             TwoStation(**{f.name: value})
         assert f"TwoStation.{f.name} = {value!r}" in str(caught.value)
@@ -839,6 +841,41 @@ def test_a_users_tracker_runs_in_batches_and_restarts_row_by_row():
     for _ in range(3):
         observation, *_ = env.step(np.full((3, 2), 0.3))
         np.testing.assert_allclose(observation, [single.step([0.3, 0.3])[0] for single in singles], atol=1e-6)
+
+
+@dataclasses.dataclass(frozen=True)
+class Boxed:
+    tracks: Tracks
+
+
+class BoxedEkf(PlainEkf):
+    """The same with its state in a frozen dataclass, the contract's other form."""
+
+    def initiate(self, scan):
+        return Boxed(super().initiate(scan))
+
+    def predict(self, state, step_s):
+        return Boxed(super().predict(state.tracks, step_s))
+
+    def update(self, state, scan):
+        update = super().update(state.tracks, scan)
+        return update._replace(posterior=Boxed(update.posterior))
+
+    def estimate(self, state):
+        return super().estimate(state.tracks)
+
+
+def test_a_users_tracker_may_keep_its_state_in_a_dataclass():
+    plain, boxed = (
+        PassiveVectorEnv(num_envs=300, steps=2, tracker=tracker, autoreset_mode="same_step")
+        for tracker in (PlainEkf(), BoxedEkf())
+    )
+    plain.reset(seed=0), boxed.reset(seed=0)
+    mask = np.arange(300) % 2 == 0
+    assert np.array_equal(*(env.reset(options={"reset_mask": mask})[0] for env in (plain, boxed)))
+    for _ in range(3):
+        assert np.array_equal(*(env.step(np.full((300, 2), 0.3))[0] for env in (plain, boxed)))
+    assert np.array_equal(boxed.world.track_state.tracks.mean, plain.world.track_state.mean)
 
 
 @pytest.mark.parametrize("verb", ["initiate", "predict", "update", "estimate"])

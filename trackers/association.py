@@ -22,6 +22,9 @@ from trackers.measurement import linearize, log_normal
 PRUNED = -1.0e6
 """Log weight of a removed hypothesis: finite, and exp(PRUNED) is exactly 0."""
 
+NEGLIGIBLE = -40.0
+"""Log of a share that vanishes beside 1 in double precision: its exponential is not worth computing."""
+
 NODE_LIMIT = 20_000
 """Search nodes per scan; a scan that needs more (dozens of tracks in each other's gates) keeps the best found."""
 
@@ -117,9 +120,9 @@ def _pair_cost(lw, nu, S, ka, kb, row):
         row[i] = pair_log_likelihood(nu, S, i, ka, kb)
         e = lw[i] + row[i]
         if e > best:
-            total = total * math.exp(best - e) + 1.0 if total > 0.0 else 1.0
+            total = total * math.exp(best - e) + 1.0 if best - e > NEGLIGIBLE else 1.0
             best = e
-        else:
+        elif e - best > NEGLIGIBLE:
             total += math.exp(e - best)
     return -best - math.log(total) if total != 1.0 else -best
 

@@ -35,7 +35,7 @@ _CONFIG: Any = numba_config  # holds the folder where numba looks for cached mac
 _TYPES = {"f": numba.float64, "i": numba.int64, "b": numba.boolean, "g": numba.float32}
 
 # Division by zero must yield inf (to be handled), not raise from inside a batch.
-helper = numba.njit(error_model="numpy")
+helper = numba.njit(error_model="numpy", forceinline=True)
 """Decorator of small scalar functions that kernels call; LLVM inlines them."""
 
 

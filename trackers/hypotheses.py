@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from trackers.association import PRUNED
+from trackers.association import NEGLIGIBLE, PRUNED
 from trackers.compiled import helper
 
 
@@ -22,18 +22,23 @@ def reweight(log_w, log_prune):
     top = log_w[best]
     total = 0.0
     for i in range(n):
-        if log_w[i] > PRUNED:
+        if log_w[i] > PRUNED and log_w[i] - top > NEGLIGIBLE:
             total += math.exp(log_w[i] - top) if i != best else 1.0
     evidence = top + math.log(total)
     kept = 0.0
+    pruned = False
     for i in range(n):
-        if i != best and not log_w[i] - evidence >= log_prune:
+        if i != best and log_w[i] > PRUNED and not log_w[i] - evidence >= log_prune:
             log_w[i] = PRUNED
-        elif i == best:
-            kept += 1.0
-        else:
-            kept += math.exp(log_w[i] - top)
-    shift = top + math.log(kept)
+            pruned = True
+    shift = evidence
+    if pruned:
+        for i in range(n):
+            if i == best:
+                kept += 1.0
+            elif log_w[i] > PRUNED and log_w[i] - top > NEGLIGIBLE:
+                kept += math.exp(log_w[i] - top)
+        shift = top + math.log(kept)
     for i in range(n):
         if log_w[i] > PRUNED:
             log_w[i] -= shift

@@ -5,6 +5,8 @@ The scalar helpers serve kernels; the array functions serve everything whose cos
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from trackers.compiled import helper, kernel
@@ -35,6 +37,35 @@ def cholesky_in_place(a):
             for k in range(j):
                 s -= a[i, k] * a[j, k]
             a[i, j] = s / a[j, j]
+
+
+@helper
+def _pivot(value, diagonal):
+    return math.sqrt(max(value, JITTER * abs(diagonal) + 1e-300))
+
+
+@helper
+def cholesky_4(P):
+    """Lower factor of P [4, 4] as ten numbers, row by row: no scratch."""
+    l00 = _pivot(P[0, 0], P[0, 0])
+    l10, l20, l30 = P[1, 0] / l00, P[2, 0] / l00, P[3, 0] / l00
+    l11 = _pivot(P[1, 1] - l10 * l10, P[1, 1])
+    l21, l31 = (P[2, 1] - l20 * l10) / l11, (P[3, 1] - l30 * l10) / l11
+    l22 = _pivot(P[2, 2] - l20 * l20 - l21 * l21, P[2, 2])
+    l32 = (P[3, 2] - l30 * l20 - l31 * l21) / l22
+    l33 = _pivot(P[3, 3] - l30 * l30 - l31 * l31 - l32 * l32, P[3, 3])
+    return l00, l10, l11, l20, l21, l22, l30, l31, l32, l33
+
+
+@helper
+def mahalanobis_4(L, d):
+    """dᵀ(LLᵀ)⁻¹d for the ten numbers of `cholesky_4` and d [4]."""
+    l00, l10, l11, l20, l21, l22, l30, l31, l32, l33 = L
+    a = d[0] / l00
+    b = (d[1] - l10 * a) / l11
+    c = (d[2] - l20 * a - l21 * b) / l22
+    e = (d[3] - l30 * a - l31 * b - l32 * c) / l33
+    return a * a + b * b + c * c + e * e
 
 
 @helper

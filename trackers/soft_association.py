@@ -25,7 +25,7 @@ import numpy as np
 from trackers.association import PRUNED, innovations, list_options, walk_assignments
 from trackers.compiled import helper, kernel
 from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
-from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
+from trackers.linalg import cholesky_4, mahalanobis_4
 from trackers.measurement import update_in_place
 
 SLACK = 9.0
@@ -86,13 +86,14 @@ def _update_branches(x, P, z, stations, var, k_opt, kept, weight, own, parent, o
 
 
 @helper
-def _merge(x, P, lw, own, factor, dx, delta):
+def _merge(x, P, lw, own, delta):
     """Merge branches of one track that lie within `MERGE` of a heavier one (moments are preserved)."""
     n, d = x.shape
     for i in range(n):
         if lw[i] <= PRUNED:
             continue
         factored = False
+        L = (1.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
         for k in range(i + 1, n):
             if lw[k] <= PRUNED:
                 continue
@@ -103,11 +104,9 @@ def _merge(x, P, lw, own, factor, dx, delta):
             if not near:
                 continue
             if not factored:
-                factor[:] = P[i]
-                cholesky_in_place(factor)
+                L = cholesky_4(P[i])
                 factored = True
-            dx[:] = delta
-            if mahalanobis_with_factor(factor, dx) > MERGE:
+            if mahalanobis_4(L, delta) > MERGE:
                 continue
             a = 1.0 / (1.0 + math.exp(lw[i] - lw[k]))  # share of the lighter one
             for r in range(d):
@@ -144,7 +143,7 @@ def _scratch(shape: tuple[int, ...], stations: int, slots: int):
         np.empty((m, options, 3), dtype=np.int64),
         np.empty((m, stations, n, slots)),
         np.empty((m, 6, n)),
-        np.empty((10, width)),
+        np.empty((5, width)),
         np.empty((7, width), dtype=np.int64),
         np.empty((2, slots), dtype=bool),
     )
@@ -163,7 +162,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
     two = n_stations == 2
     var = std * std
     c_opt, share, log_likelihood = options[:, :, 0], options[:, :, 1], options[:, :, 2:]
-    weight, own, delta, dx, factor = line[2], line[3], line[4, :4], line[5, :4], line[6:10, :4]
+    weight, own, delta = line[2], line[3], line[4, :4]
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
     for j in range(n_tracks):
         innovations(x[j], P[j], lw[j], z, valid, stations, var, gate, nu[j], S[j], inside)
@@ -196,7 +195,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             if lw_out[j, i] <= PRUNED:
                 own_out[j, i] = PRUNED
         if kept > 1:
-            _merge(x_out[j], P_out[j], lw_out[j], own_out[j], factor, dx, delta)
+            _merge(x_out[j], P_out[j], lw_out[j], own_out[j], delta)
         reweight(own_out[j], -1e9)
 
 
