@@ -156,7 +156,7 @@ def _all_stations(assigned: np.ndarray, stations: int) -> np.ndarray:
 def map_rows(function: Any, *trees: Any) -> Any:
     """Apply a function to corresponding arrays of equal nestings of tuples and dataclasses (worlds, tracker states)."""
     first = trees[0]
-    if dataclasses.is_dataclass(first):
+    if dataclasses.is_dataclass(first) and not isinstance(first, type):
         names = [f.name for f in dataclasses.fields(first)]
         parts = {name: map_rows(function, *(getattr(tree, name) for tree in trees)) for name in names}
         return dataclasses.replace(first, **parts)
