@@ -9,8 +9,8 @@ import numpy as np
 
 from trackers.bounds import range_variance
 from trackers.compiled import helper, kernel
-from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
-from trackers.measurement import update_in_place
+from trackers.linalg import cholesky_4, mahalanobis_4
+from trackers.measurement import condition_in_place, slope
 from trackers.motion import predict_in_place
 
 FARTHEST_M = 1e9
@@ -53,7 +53,6 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
     n_stations = platforms.shape[0]
     sx, sy = platforms[n_stations - 1, 0], platforms[n_stations - 1, 1]
     x = np.empty(4)
-    factor = np.empty((4, 4))
     new_bound[:] = bound
     for m in range(mean.shape[0]):
         P = new_bound[m]
@@ -61,19 +60,15 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
         if T > 0.0:
             predict_in_place(x, P, T, q)
         for s in range(0 if all_stations else n_stations - 1, n_stations):
-            x[:] = truth[m]
-            z = math.atan2(x[1] - platforms[s, 1], x[0] - platforms[s, 0])
-            update_in_place(x, P, z, platforms[s, 0], platforms[s, 1], std * std)
+            a, b = slope(truth[m, 0], truth[m, 1], platforms[s, 0], platforms[s, 1])
+            condition_in_place(x, P, 0.0, a, b, std * std)
         true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
         range_error[m] = _at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
         position_error[m] = _at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
         crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
         for i in range(4):
             x[i] = mean[m, i] - truth[m, i]
-            for j in range(4):
-                factor[i, j] = cov[m, i, j]
-        cholesky_in_place(factor)
-        nees[m] = _at_most(mahalanobis_with_factor(factor, x), MAX_NEES)
+        nees[m] = _at_most(mahalanobis_4(cholesky_4(cov[m]), x), MAX_NEES)
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
 
 

@@ -50,21 +50,34 @@ def bearing_jacobian(position, station):
 
 
 @helper
-def linearize(x, y, sx, sy):
-    """Predicted bearing [rad] and the two non-zero Jacobian entries [rad/m]."""
+def slope(x, y, sx, sy):
+    """The two non-zero Jacobian entries [rad/m] of the bearing."""
     dx, dy = x - sx, y - sy
     r2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
-    return math.atan2(dy, dx), -dy / r2, dx / r2
+    return -dy / r2, dx / r2
+
+
+@helper
+def linearize(x, y, sx, sy):
+    """Predicted bearing [rad] and the two non-zero Jacobian entries [rad/m]."""
+    a, b = slope(x, y, sx, sy)
+    return math.atan2(y - sy, x - sx), a, b
 
 
 @helper
 def update_in_place(x, P, z, sx, sy, var):
-    """EKF update of x [4], P [4, 4] with one bearing, in place, Joseph form; returns ν, S.
-
-    P' = (I − KH) P (I − KH)ᵀ + K σ² Kᵀ, written out for H = [a, b, 0, 0]; the upper triangle is computed and mirrored.
-    """
+    """EKF update of x [4], P [4, 4] with one bearing, in place, Joseph form; returns ν, S."""
     h, a, b = linearize(x[0], x[1], sx, sy)
     nu = wrap_scalar(z - h)
+    return nu, condition_in_place(x, P, nu, a, b, var)
+
+
+@helper
+def condition_in_place(x, P, nu, a, b, var):
+    """Condition x [4], P [4, 4] on an innovation ν with Jacobian H = [a, b, 0, 0], in place; returns S.
+
+    P' = (I − KH) P (I − KH)ᵀ + K σ² Kᵀ, written out for this H; the upper triangle is computed and mirrored.
+    """
     p00, p01, p02, p03 = P[0, 0], P[0, 1], P[0, 2], P[0, 3]
     p11, p12, p13, p22, p23, p33 = P[1, 1], P[1, 2], P[1, 3], P[2, 2], P[2, 3], P[3, 3]
     f0, f1, f2, f3 = a * p00 + b * p01, a * p01 + b * p11, a * p02 + b * p12, a * p03 + b * p13
@@ -89,7 +102,7 @@ def update_in_place(x, P, z, sx, sy, var):
     P[1, 2] = P[2, 1] = p12 - k1 * f2 + g1 * k2
     P[1, 3] = P[3, 1] = p13 - k1 * f3 + g1 * k3
     P[2, 3] = P[3, 2] = p23 - k2 * f3 + g2 * k3
-    return nu, S
+    return S
 
 
 @helper
