@@ -160,6 +160,11 @@ def save_model(model: BaseAlgorithm, file: Path) -> None:
     os.replace(neighbour, file)
 
 
+def training_seed(seed: int) -> int:
+    """Start of the seeds a run may use: 10⁹ to itself, far from those of every evaluation."""
+    return (10 + seed) * 10**9
+
+
 class Checkpoints(BaseCallback):
     """Between rollouts: every so many, save a checkpoint, evaluate, and seed everything anew."""
 
@@ -180,7 +185,7 @@ class Checkpoints(BaseCallback):
             self._evaluate()
             save_model(self.model, self._run.folder / CHECKPOINT)
         self._next = self.num_timesteps + self._every
-        reseed(self.model, self._run.seed + self.num_timesteps)
+        reseed(self.model, training_seed(self._run.seed) + self.num_timesteps)
 
     def _on_step(self) -> bool:
         return True
@@ -255,7 +260,7 @@ def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         **{**preset.get("arguments", {}), "batch_size": min(preset["arguments"]["batch_size"], rollout_steps(run))},
     )
     if "imitation" in preset:
-        imitate(model, run.training_scenario, seed=run.seed, **preset["imitation"])
+        imitate(model, run.training_scenario, seed=training_seed(run.seed), **preset["imitation"])
     return model
 
 
