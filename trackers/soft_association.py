@@ -190,12 +190,14 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             x[j], P[j], z, stations, var, k_opt[j], kept, weight, own, parent, option,
             x_out[j], P_out[j], lw_out[j], own_out[j],
         )  # fmt: skip
+        if kept == 1:  # nothing to weigh
+            lw_out[j, 0] = own_out[j, 0] = 0.0
+            continue
         reweight(lw_out[j], log_prune)
         for i in range(kept):
             if lw_out[j, i] <= PRUNED:
                 own_out[j, i] = PRUNED
-        if kept > 1:
-            _merge(x_out[j], P_out[j], lw_out[j], own_out[j], delta)
+        _merge(x_out[j], P_out[j], lw_out[j], own_out[j], delta)
         reweight(own_out[j], -1e9)
 
 
