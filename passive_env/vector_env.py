@@ -66,6 +66,7 @@ class PassiveVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.blocks = Blocks(num_envs, threads=threads)
         self._worlds: list[World] | None = None
+        self._views: list[np.ndarray] = []  # observations of the worlds, block by block
         self._done = np.zeros(num_envs, dtype=bool)
         self._generators: list[np.random.Generator] | None = None
 
@@ -184,6 +185,7 @@ class PassiveVectorEnv(VectorEnv):
             return fresh if world is None or len(chosen) == len(mask[rows]) else replace_rows(world, chosen, fresh)
 
         self._worlds = self.blocks.map(restart, self.blocks.slices, worlds)
+        self._views = self.blocks.map(self.simulation.observe, self._worlds)
 
     def _advance(self, commands: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Step every block; rows of finished episodes begin anew instead (reward 0, action ignored)."""
@@ -191,14 +193,14 @@ class PassiveVectorEnv(VectorEnv):
         terms = {name: np.zeros(self.num_envs) for name in self.scenario.reward_weights}
         reward = np.zeros(self.num_envs)
         if not fresh.all():
-            steps = self.blocks.map(
-                lambda rows, world: self.simulation.advance(
-                    _hold(world, fresh[rows], self.scenario.steps), commands[rows]
-                ),
-                self.blocks.slices,
-                self._worlds,
-            )
-            self._worlds = [step[0] for step in steps]
+
+            def advance(rows: slice, world: World) -> tuple[World, Any, dict[str, Any], np.ndarray]:
+                held = _hold(world, fresh[rows], self.scenario.steps)
+                new, earned, parts = self.simulation.advance(held, commands[rows])
+                return new, earned, parts, self.simulation.observe(new)  # observed here: one wait for all blocks a step
+
+            steps = self.blocks.map(advance, self.blocks.slices, self._worlds)
+            self._worlds, self._views = [step[0] for step in steps], [step[3] for step in steps]
             keep = ~fresh
             reward = np.concatenate([step[1] for step in steps]) * keep
             terms = {name: np.concatenate([step[2][name] for step in steps]) * keep for name in terms}
@@ -207,8 +209,7 @@ class PassiveVectorEnv(VectorEnv):
         return reward, terms
 
     def _observe(self) -> np.ndarray:
-        assert self._worlds is not None
-        return np.concatenate(self.blocks.map(self.simulation.observe, self._worlds))
+        return np.concatenate(self._views)
 
     def _info(self, terms: dict[str, np.ndarray]) -> dict[str, Any]:
         assert self._worlds is not None
