@@ -164,6 +164,10 @@ def _own_cache() -> Iterator[None]:
         _CONFIG.CACHE_DIR = before
 
 
+SMALLEST_BLOCK = 64
+"""A batch is cut for the sake of idle cores only into blocks of at least this many items."""
+
+
 class Blocks:
     """Runs a function on consecutive blocks of a batch, on several threads when there is more than one block.
 
@@ -174,10 +178,11 @@ class Blocks:
     """
 
     def __init__(self, size: int, block: int = 256, threads: int | None = None):
-        count = max(1, -(-size // block))
+        threads = threads or available_cores()
+        count = max(1, -(-size // block), min(threads, size // SMALLEST_BLOCK))
         edges = np.linspace(0, size, count + 1).round().astype(int)
         self.slices = [slice(int(lo), int(hi)) for lo, hi in itertools.pairwise(edges)]
-        self.threads = min(threads or available_cores(), count)
+        self.threads = min(threads, count)
 
     def map(self, function: Callable[..., T], *columns: Sequence[Any]) -> list[T]:
         """Call ``function(*row)`` for every block, one row of the columns per block; results in block order."""
