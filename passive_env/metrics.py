@@ -10,7 +10,7 @@ import numpy as np
 from trackers.bounds import range_variance
 from trackers.compiled import helper, kernel
 from trackers.linalg import cholesky_4, mahalanobis_4
-from trackers.measurement import condition_in_place, slope
+from trackers.measurement import condition_into, slope
 from trackers.motion import predict_in_place
 
 FARTHEST_M = 1e9
@@ -61,7 +61,7 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
             predict_in_place(x, P, T, q)
         for s in range(0 if all_stations else n_stations - 1, n_stations):
             a, b = slope(truth[m, 0], truth[m, 1], platforms[s, 0], platforms[s, 1])
-            condition_in_place(x, P, 0.0, a, b, std * std)
+            condition_into(x, P, 0.0, a, b, std * std, x, P)
         true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
         range_error[m] = _at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
         position_error[m] = _at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackers.compiled import helper, kernel
 from trackers.linalg import psd_inverse
-from trackers.measurement import bearing_jacobian, condition_in_place, slope
+from trackers.measurement import bearing_jacobian, condition_into, slope
 from trackers.motion import predict_in_place, process_noise, transition
 
 
@@ -70,7 +70,7 @@ def _bound_update(P, truth, stations, used, std, detection, P_out):
     for s in range(stations.shape[0]):
         if used[s]:
             a, b = slope(truth[0], truth[1], stations[s, 0], stations[s, 1])
-            condition_in_place(x, P_out, 0.0, a, b, var)
+            condition_into(x, P_out, 0.0, a, b, var, x, P_out)
 
 
 def bound_update(cov, truth, stations, used, bearing_std, detection_probability=1.0):

@@ -53,8 +53,8 @@ def bearing_jacobian(position, station):
 def slope(x, y, sx, sy):
     """The two non-zero Jacobian entries [rad/m] of the bearing."""
     dx, dy = x - sx, y - sy
-    r2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
-    return -dy / r2, dx / r2
+    per_r2 = 1.0 / max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
+    return -dy * per_r2, dx * per_r2
 
 
 @helper
@@ -65,16 +65,19 @@ def linearize(x, y, sx, sy):
 
 
 @helper
-def update_in_place(x, P, z, sx, sy, var):
-    """EKF update of x [4], P [4, 4] with one bearing, in place, Joseph form; returns ν, S."""
+def update_into(x, P, z, sx, sy, var, x_out, P_out):
+    """EKF update of x [4], P [4, 4] with one bearing, Joseph form, written to x_out, P_out; returns ν, S.
+
+    The output may be the input itself.
+    """
     h, a, b = linearize(x[0], x[1], sx, sy)
     nu = wrap_scalar(z - h)
-    return nu, condition_in_place(x, P, nu, a, b, var)
+    return nu, condition_into(x, P, nu, a, b, var, x_out, P_out)
 
 
 @helper
-def condition_in_place(x, P, nu, a, b, var):
-    """Condition x [4], P [4, 4] on an innovation ν with Jacobian H = [a, b, 0, 0], in place; returns S.
+def condition_into(x, P, nu, a, b, var, x_out, P_out):
+    """Condition x [4], P [4, 4] on an innovation ν with Jacobian H = [a, b, 0, 0]; returns S.
 
     P' = (I − KH) P (I − KH)ᵀ + K σ² Kᵀ, written out for this H; the upper triangle is computed and mirrored.
     """
@@ -84,24 +87,23 @@ def condition_in_place(x, P, nu, a, b, var):
     hph = a * f0 + b * f1
     var = max(var, NOISE_FLOOR * hph)
     S = hph + var
-    k0, k1, k2, k3 = f0 / S, f1 / S, f2 / S, f3 / S
-    x[0] += k0 * nu
-    x[1] += k1 * nu
-    x[2] += k2 * nu
-    x[3] += k3 * nu
+    per_S = 1.0 / S
+    k0, k1, k2, k3 = f0 * per_S, f1 * per_S, f2 * per_S, f3 * per_S
+    x_out[0], x_out[1] = x[0] + k0 * nu, x[1] + k1 * nu
+    x_out[2], x_out[3] = x[2] + k2 * nu, x[3] + k3 * nu
     # With f = PHᵀ and g = σ²K − (I − KH)PHᵀ the Joseph form is P − K fᵀ + g Kᵀ.
     g0, g1 = var * k0 - (f0 - k0 * hph), var * k1 - (f1 - k1 * hph)
     g2, g3 = var * k2 - (f2 - k2 * hph), var * k3 - (f3 - k3 * hph)
-    P[0, 0] = p00 - k0 * f0 + g0 * k0
-    P[1, 1] = p11 - k1 * f1 + g1 * k1
-    P[2, 2] = p22 - k2 * f2 + g2 * k2
-    P[3, 3] = p33 - k3 * f3 + g3 * k3
-    P[0, 1] = P[1, 0] = p01 - k0 * f1 + g0 * k1
-    P[0, 2] = P[2, 0] = p02 - k0 * f2 + g0 * k2
-    P[0, 3] = P[3, 0] = p03 - k0 * f3 + g0 * k3
-    P[1, 2] = P[2, 1] = p12 - k1 * f2 + g1 * k2
-    P[1, 3] = P[3, 1] = p13 - k1 * f3 + g1 * k3
-    P[2, 3] = P[3, 2] = p23 - k2 * f3 + g2 * k3
+    P_out[0, 0] = p00 - k0 * f0 + g0 * k0
+    P_out[1, 1] = p11 - k1 * f1 + g1 * k1
+    P_out[2, 2] = p22 - k2 * f2 + g2 * k2
+    P_out[3, 3] = p33 - k3 * f3 + g3 * k3
+    P_out[0, 1] = P_out[1, 0] = p01 - k0 * f1 + g0 * k1
+    P_out[0, 2] = P_out[2, 0] = p02 - k0 * f2 + g0 * k2
+    P_out[0, 3] = P_out[3, 0] = p03 - k0 * f3 + g0 * k3
+    P_out[1, 2] = P_out[2, 1] = p12 - k1 * f2 + g1 * k2
+    P_out[1, 3] = P_out[3, 1] = p13 - k1 * f3 + g1 * k3
+    P_out[2, 3] = P_out[3, 2] = p23 - k2 * f3 + g2 * k3
     return S
 
 
@@ -113,9 +115,7 @@ def log_normal(nu, S):
 
 @kernel("(x),(x,x),(),(p),()->(x),(x,x),(),(),()")
 def _update(x, P, z, station, std, x_out, P_out, nu_out, S_out, ll_out):
-    x_out[:] = x
-    P_out[:] = P
-    nu, S = update_in_place(x_out, P_out, z, station[0], station[1], std * std)
+    nu, S = update_into(x, P, z, station[0], station[1], std * std, x_out, P_out)
     nu_out[0] = nu
     S_out[0] = S
     ll_out[0] = log_normal(nu, S)

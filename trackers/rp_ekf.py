@@ -18,7 +18,7 @@ from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
-from trackers.measurement import log_normal, update_in_place
+from trackers.measurement import log_normal, update_into
 from trackers.motion import predict_in_place
 from trackers.soft_association import branch_and_update
 from trackers.triangulation import RangeInterval, admissible_crossings, forward_interval
@@ -153,24 +153,28 @@ def predict(bank: Bank, step_s, velocity_std) -> Bank:
 def _update(x, P, lw, z, used, stations, std, log_prune, x_out, P_out, lw_out, nu_out, S_out, evidence):
     n, n_stations = lw.shape[0], z.shape[0]
     var = std * std
-    x_out[:] = x
-    P_out[:] = P
     nu_out[:] = 0.0
     S_out[:] = 0.0
     any_used = False
-    for s in range(n_stations):
-        any_used |= used[s]
     for i in range(n):
         lw_out[i] = lw[i]
-        if lw[i] <= PRUNED or not any_used:
+    x_prior, P_prior = x, P
+    for s in range(n_stations):
+        if not used[s]:
             continue
-        w = 1.0 if lw[i] == 0.0 else math.exp(lw[i])
-        for s in range(n_stations):
-            if used[s]:
-                nu, S = update_in_place(x_out[i], P_out[i], z[s], stations[s, 0], stations[s, 1], var)
-                lw_out[i] += log_normal(nu, S)
-                nu_out[s] += w * nu
-                S_out[s] += w * (S + nu * nu)
+        for i in range(n):
+            if lw[i] <= PRUNED:
+                continue
+            nu, S = update_into(x_prior[i], P_prior[i], z[s], stations[s, 0], stations[s, 1], var, x_out[i], P_out[i])
+            lw_out[i] += log_normal(nu, S)
+            w = 1.0 if lw[i] == 0.0 else math.exp(lw[i])
+            nu_out[s] += w * nu
+            S_out[s] += w * (S + nu * nu)
+        x_prior, P_prior = x_out, P_out
+        any_used = True
+    for i in range(n):
+        if lw[i] <= PRUNED or not any_used:
+            copy_hypothesis(x[i], P[i], x_out[i], P_out[i])
     for s in range(n_stations):
         S_out[s] = max(S_out[s] - nu_out[s] * nu_out[s], var)
     evidence[0] = reweight(lw_out, log_prune) if any_used else 0.0
@@ -250,7 +254,7 @@ class RpEkf:
     cap_m: float = 2.0e5
     velocity_std: float = 200.0
     process_noise: float = 15.0
-    prune_below: float = 1e-3
+    prune_below: float = 1e-4
     reference_only: bool = False
     model: AssociationModel = AssociationModel()
 

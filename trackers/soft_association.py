@@ -1,7 +1,7 @@
 """Association that decides late: every hypothesis of a bank branches over the returns it may have caused.
 
 A hard assignment that trades two bearings once is hard to undo: the tracks go on as ghosts. Here a scan's joint
-assignments only *weigh* branches. Each track keeps its n best branches, near-duplicates merge, and wrong ones (ghost
+assignments only *weigh* branches. Near-duplicates merge, each track keeps its n best branches, and wrong ones (ghost
 ranges, traded bearings) lose weight as the geometry tells them apart, just as wrong range hypotheses do in the
 paper's bank. Where only one joint assignment is plausible, which is nearly always, this is the hard assignment.
 
@@ -11,9 +11,8 @@ paper's bank. Where only one joint assignment is plausible, which is nearly alwa
 
 L_i(o) is the joint likelihood of the option's bearings under hypothesis i. That a return has one owner couples the
 tracks' weights; the coupling is computed afresh from the tracks' own weights in every scan, for feeding it back would
-count it again and again. Source: joint probabilistic data
-association (Fortmann, Bar-Shalom and Scheffe, IEEE J. Oceanic Eng. 8(3), 1983) for β; branches are kept as a mixture
-instead of being merged into one Gaussian.
+count it again and again. Source: joint probabilistic data association (Fortmann, Bar-Shalom and Scheffe, IEEE J.
+Oceanic Eng. 8(3), 1983) for β; branches are kept as a mixture instead of being merged into one Gaussian.
 """
 
 from __future__ import annotations
@@ -26,12 +25,15 @@ from trackers.association import PRUNED, innovations, list_options, walk_assignm
 from trackers.compiled import helper, kernel
 from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
 from trackers.linalg import cholesky_4, mahalanobis_4
-from trackers.measurement import update_in_place
+from trackers.measurement import condition_into, slope, update_into
 
 SLACK = 9.0
 """Joint assignments this many nepers above the best one still count (e⁻⁹ ≈ 1e-4)."""
 
-MERGE = 2.0
+ROOM = 2
+"""Branches weighed per place of the bank: near-duplicates merge before the lightest are dropped."""
+
+MERGE = 4.0
 """Squared Mahalanobis distance below which two branches are one."""
 
 
@@ -42,7 +44,7 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
     `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents and
     options.
     """
-    n = lw.shape[0]
+    n, room = lw.shape[0], weight.shape[0]
     kept = 0
     for o in range(count):
         if share[o] <= 0.0:
@@ -57,38 +59,43 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
                 continue
             v = lw[i] + log_likelihood[k_opt[o, 2], i] - price
             w = v + coupling
-            if kept == n and w <= weight[n - 1]:
+            if kept == room and w <= weight[room - 1]:
                 continue
-            t = kept if kept < n else n - 1
+            t = kept if kept < room else room - 1
             while t > 0 and weight[t - 1] < w:
                 weight[t], own[t] = weight[t - 1], own[t - 1]
                 parent[t], option[t] = parent[t - 1], option[t - 1]
                 t -= 1
             weight[t], own[t], parent[t], option[t] = w, v, i, o
-            kept = min(kept + 1, n)
+            kept = min(kept + 1, room)
     return kept
 
 
 @helper
-def _update_branches(x, P, z, stations, var, k_opt, kept, weight, own, parent, option, x_out, P_out, lw_out, own_out):
-    """Copy each kept branch's parent and condition it on the branch's returns; the remaining places are cleared."""
-    for i in range(x.shape[0]):
-        if i >= kept:
-            clear_hypothesis(x_out[i], P_out[i])
-            lw_out[i] = own_out[i] = PRUNED
-            continue
-        copy_hypothesis(x[parent[i]], P[parent[i]], x_out[i], P_out[i])
-        lw_out[i], own_out[i] = weight[i], own[i]
+def _update_branches(x, P, nu, z, stations, var, k_opt, kept, parent, option, x_out, P_out):
+    """Condition each kept branch's parent on the branch's returns; `nu` [s, n, b] holds the parents' innovations."""
+    for i in range(kept):
+        x_prior, P_prior = x[parent[i]], P[parent[i]]
+        fresh = True
         for s in range(stations.shape[0]):
             k = k_opt[option[i], s]
-            if k >= 0:
-                update_in_place(x_out[i], P_out[i], z[s, k], stations[s, 0], stations[s, 1], var)
+            if k < 0:
+                continue
+            if fresh:
+                a, b = slope(x_prior[0], x_prior[1], stations[s, 0], stations[s, 1])
+                condition_into(x_prior, P_prior, nu[s, parent[i], k], a, b, var, x_out[i], P_out[i])
+            else:
+                update_into(x_prior, P_prior, z[s, k], stations[s, 0], stations[s, 1], var, x_out[i], P_out[i])
+            x_prior, P_prior = x_out[i], P_out[i]
+            fresh = False
+        if fresh:
+            copy_hypothesis(x_prior, P_prior, x_out[i], P_out[i])
 
 
 @helper
 def _merge(x, P, lw, own, delta):
     """Merge branches of one track that lie within `MERGE` of a heavier one (moments are preserved)."""
-    n, d = x.shape
+    n, d = lw.shape[0], x.shape[1]
     for i in range(n):
         if lw[i] <= PRUNED:
             continue
@@ -121,6 +128,33 @@ def _merge(x, P, lw, own, delta):
 
 
 @helper
+def _keep_heaviest(x, P, lw, own, x_out, P_out, lw_out, own_out):
+    """Move the heaviest branches to the bank's n places, clear the places left; returns whether any was dropped."""
+    room, n = lw.shape[0], lw_out.shape[0]
+    alive = 0
+    for i in range(room):
+        alive += lw[i] > PRUNED
+    dropped = alive > n
+    while alive > n:
+        lightest = -1
+        for i in range(room):
+            if lw[i] > PRUNED and (lightest < 0 or lw[i] < lw[lightest]):
+                lightest = i
+        lw[lightest] = PRUNED
+        alive -= 1
+    t = 0
+    for i in range(room):
+        if lw[i] > PRUNED:
+            copy_hypothesis(x[i], P[i], x_out[t], P_out[t])
+            lw_out[t], own_out[t] = lw[i], own[i]
+            t += 1
+    for i in range(t, n):
+        clear_hypothesis(x_out[i], P_out[i])
+        lw_out[i] = own_out[i] = PRUNED
+    return dropped
+
+
+@helper
 def _mixture_innovation(lw, nu, S, k, var):
     """Mean and variance of the innovation of return k over a track's hypotheses; (0, σ²) for none."""
     if k < 0:
@@ -137,7 +171,8 @@ def _mixture_innovation(lw, nu, S, k, var):
 def _scratch(shape: tuple[int, ...], stations: int, slots: int):
     """Working arrays of one call for banks [..., m, n, 4]: allocating inside the kernel would dominate its time."""
     m, n = shape[-3:-1]
-    options, width = (slots + 1) ** stations, max(n, m, slots, 4) + 1
+    options, room = (slots + 1) ** stations, ROOM * n
+    width = max(room, m, slots) + 1
     return (
         np.empty((m, options, 2 + n)),
         np.empty((m, options, 3), dtype=np.int64),
@@ -146,23 +181,26 @@ def _scratch(shape: tuple[int, ...], stations: int, slots: int):
         np.empty((5, width)),
         np.empty((7, width), dtype=np.int64),
         np.empty((2, slots), dtype=bool),
+        np.empty((room, 4)),
+        np.empty((room, 4, 4)),
     )
 
 
 @kernel(
-    "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b)"
+    "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b),(c,x),(c,x,x)"
     "->(m,n,x),(m,n,x,x),(m,n),(m,n),(m,s),(m,s),(m,s),(m)",
-    "ffffbfffffffifffibffffffif",
+    "ffffbfffffffifffibffffffffif",
 )
 def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune,
-                       options, k_opt, nu, S, line, marks, inside,
+                       options, k_opt, nu, S, line, marks, inside, x_branch, P_branch,
                        x_out, P_out, lw_out, own_out, nu_out, S_out, assignment, evidence):  # fmt: skip
-    """Inputs from `options` to `inside` are scratch (`_scratch`), shared by all items of a call."""
+    """Inputs from `options` to `P_branch` are scratch (`_scratch`), shared by all items of a call."""
     n_tracks, n_stations = lw.shape[0], z.shape[0]
     two = n_stations == 2
     var = std * std
     c_opt, share, log_likelihood = options[:, :, 0], options[:, :, 1], options[:, :, 2:]
-    weight, own, delta = line[2], line[3], line[4, :4]
+    room = x_branch.shape[0]
+    weight, own, delta = line[2, :room], line[3, :room], line[4, :4]
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
     for j in range(n_tracks):
         innovations(x[j], P[j], lw[j], z, valid, stations, var, gate, nu[j], S[j], inside)
@@ -186,19 +224,21 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
             weight, own, parent, option,
         )  # fmt: skip
-        _update_branches(
-            x[j], P[j], z, stations, var, k_opt[j], kept, weight, own, parent, option,
-            x_out[j], P_out[j], lw_out[j], own_out[j],
-        )  # fmt: skip
+        _update_branches(x[j], P[j], nu[j], z, stations, var, k_opt[j], kept, parent, option, x_branch, P_branch)
+        lw_kept, own_kept = weight[:kept], own[:kept]
         if kept == 1:  # nothing to weigh
-            lw_out[j, 0] = own_out[j, 0] = 0.0
-            continue
-        reweight(lw_out[j], log_prune)
-        for i in range(kept):
-            if lw_out[j, i] <= PRUNED:
-                own_out[j, i] = PRUNED
-        _merge(x_out[j], P_out[j], lw_out[j], own_out[j], delta)
-        reweight(own_out[j], -1e9)
+            lw_kept[0] = own_kept[0] = 0.0
+        else:
+            reweight(lw_kept, log_prune)
+            for i in range(kept):
+                if lw_kept[i] <= PRUNED:
+                    own_kept[i] = PRUNED
+            _merge(x_branch, P_branch, lw_kept, own_kept, delta)
+        dropped = _keep_heaviest(x_branch, P_branch, lw_kept, own_kept, x_out[j], P_out[j], lw_out[j], own_out[j])
+        if kept > 1:
+            reweight(own_out[j], -1e9)
+        if dropped:
+            reweight(lw_out[j], log_prune)
 
 
 def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
