@@ -14,7 +14,7 @@ from agents.benchmark.results import Result, Section
 from agents.benchmark.timing import Effort, Task, take_turns
 from agents.reproduction.two_station.monte_carlo import READINGS, table_1_errors
 from trackers import Bank, rp_ekf
-from trackers.compiled import Blocks, available_cores
+from trackers.compiled import Blocks, available_cores, kernel
 from trackers.measurement import bearing
 from trackers.rp_ekf import BankUpdate
 from trackers.triangulation import RangeInterval
@@ -77,6 +77,25 @@ def _ours(problem: Problem, threads: int, batches: int) -> Task:
     def run() -> None:
         for _ in range(batches):
             blocks.map(update, blocks.slices)
+
+    return lambda: run
+
+
+@kernel("(k)->(k)")
+def _busy(start, out):
+    out[:] = start
+    for _ in range(200):
+        for i in range(out.shape[0]):
+            out[i] = 0.5 * (out[i] + 1.0 / out[i])
+
+
+def _arithmetic(threads: int, batches: int) -> Task:
+    """Divisions in the nearest cache: what a second core is worth here and now, whatever the program."""
+    start, blocks = np.ones((BANKS // 4, 16)), Blocks(BANKS // 4, block=128, threads=threads)
+
+    def run() -> None:
+        for _ in range(batches):
+            blocks.map(lambda rows: _busy(start[rows]), blocks.slices)
 
     return lambda: run
 
@@ -166,12 +185,14 @@ def measure_updates(effort: Effort) -> Section:
         one = take_turns({"one": _ours(problem, 1, effort.batches)}, effort.rounds)["one"]
         return Section([_rate("bearing_updates_one_core", one, effort, ">= 10")], ["Two cores: this process has one."])
     tasks = {"one": _ours(problem, 1, effort.batches), "two": _ours(problem, 2, effort.batches)}
+    tasks |= {"one_idle": _arithmetic(1, effort.batches), "two_idle": _arithmetic(2, effort.batches)}
     times = take_turns(tasks, effort.rounds)
     return Section(
         [
             _rate("bearing_updates_one_core", times["one"], effort, ">= 10"),
             _rate("bearing_updates_two_cores", times["two"], effort, None),
             Result("bearing_updates_two_cores_over_one", float(np.median(times["one"] / times["two"])), "×", ">= 1.7"),
+            Result("arithmetic_two_cores_over_one", float(np.median(times["one_idle"] / times["two_idle"])), "×"),
         ]
     )
 
