@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from trackers import Scan
 from trackers.angles import wrap
 from trackers.association import PRUNED, AssociationModel, associate
 from trackers.measurement import bearing, bearing_jacobian
 from trackers.rp_ekf import Bank, update
-from trackers.soft_association import branch_and_update
+from trackers.soft_association import _scratch, branch_and_update
 from trackers.triangulation import admissible_crossings, crossing_ranges, pair_bearings
 
 STATIONS = np.array([[-9000.0, 500.0], [4000.0, 3000.0]])
@@ -231,6 +231,38 @@ def test_branch_weights_are_the_marginals_of_all_joint_assignments(jitter):
     weights = np.exp(branch_and_update(*bank, log_w, scan, MODEL, 1e-12)[2])
     np.testing.assert_allclose(-np.sort(-weights)[:, :4], -np.sort(-beta), atol=3e-4)
     assert (np.sort(beta)[:, -2] > 0.05).all()  # a real quarrel
+
+
+@pytest.mark.parametrize("hypotheses", [1, 2, 8])
+@pytest.mark.parametrize("tracks", [1, 2, 3])
+@pytest.mark.parametrize("slots", [1, 4])
+def test_scratch_has_room_for_every_size(hypotheses, tracks, slots):
+    """A kernel that wrote past its scratch would damage memory unnoticed: the needs are stated here once more."""
+    options, k_opt, nu, S, line, marks, inside, x, P = _scratch((tracks, hypotheses, 4), 2, slots)
+    branches = x.shape[0]
+    assert branches >= hypotheses
+    assert line.shape[1] > max(branches, tracks, 4)  # weights and own weights of branches; a state's difference
+    assert marks.shape[1] > max(branches, tracks, slots)
+    assert options.shape == (tracks, (slots + 1) ** 2, 2 + hypotheses)
+    assert (k_opt.shape[:2], nu.shape) == (options.shape[:2], (tracks, 2, hypotheses, slots))
+    assert (S.shape, inside.shape, P.shape) == ((tracks, 6, hypotheses), (2, slots), (branches, 4, 4))
+
+
+def test_near_duplicates_merge_before_the_lightest_branch_is_dropped():
+    """Two places, four branches: two that agree outweigh together one that is heavier than either."""
+    spread, std = 0.05, 0.0005  # the prior across the line of sight as seen from the station, and the noise [rad]
+    mean, log_w = np.array([[[2.5e4, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]]), np.array([[0.0, PRUNED]])
+    mean[0, 0, :2] += STATIONS[1]
+    cov = np.broadcast_to(np.diag([100.0, 2.5e4 * spread, 20.0, 20.0]) ** 2, (1, 2, 4, 4)).copy()
+    bearings = np.array([[0.0, 0.8 * spread, -1.0 * spread, -1.0 * spread - 0.5 * std]])
+    scan = Scan(bearings, np.ones((1, 4), bool), STATIONS[1:], std)
+    x, P, lw, *_ = branch_and_update(mean, cov, log_w, scan, MODEL, 1e-12)
+    density = norm.pdf(bearings[0], scale=math.hypot(spread, std))
+    kept = np.array([density[0], density[2] + density[3]])
+    np.testing.assert_allclose(np.exp(lw[0]), kept / kept.sum(), rtol=1e-6)
+    angles = np.arctan2(x[0, :, 1] - STATIONS[1, 1], x[0, :, 0] - STATIONS[1, 0])
+    np.testing.assert_allclose(angles, [0.0, bearings[0, 2:].mean()], atol=std)
+    assert (np.linalg.eigvalsh(P) > 0.0).all()
 
 
 def test_branched_banks_stay_honest_mixtures():

@@ -4,6 +4,7 @@ import ast
 import math
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -455,6 +456,35 @@ def test_blocks_cover_the_batch_once_and_in_order(size, block, threads):
     rows = blocks.map(lambda part: np.arange(size)[part], blocks.slices)
     np.testing.assert_array_equal(np.concatenate(rows), np.arange(size))
     assert all(len(row) <= block for row in rows)
+
+
+def test_blocks_inside_blocks_run_where_they_are():
+    outer, inner = Blocks(256, 64, 2), Blocks(128, 64, 2)
+    assert (outer.threads, inner.threads) == (2, 2)
+
+    def work(rows):
+        return sum(inner.map(lambda part: part.stop - part.start, inner.slices)), threading.get_ident()
+
+    answer: list = []
+    caller = threading.Thread(target=lambda: answer.extend(outer.map(work, outer.slices)), daemon=True)
+    caller.start()
+    caller.join(20.0)
+    assert [size for size, _ in answer] == [128] * 4  # empty if it waits for itself
+    assert len({thread for _, thread in answer}) == 2
+
+
+@pytest.mark.parametrize("bad", [0, 3], ids=["calling thread", "other thread"])
+def test_an_error_in_a_block_surfaces_after_all_blocks_have_run(bad):
+    blocks, done = Blocks(1024, 256, 2), []
+
+    def work(rows, place):
+        if place == bad:
+            raise ValueError(f"block {place}")
+        done.append(place)
+
+    with pytest.raises(ValueError, match=f"block {bad}"):
+        blocks.map(work, blocks.slices, range(4))
+    assert set(done) >= {2, 3} - {bad} if bad == 0 else set(done) == {0, 1, 2}
 
 
 # ------------------------------------------------------------------------------------------------ boundaries

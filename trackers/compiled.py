@@ -173,12 +173,13 @@ class Blocks:
     """Runs a function on consecutive blocks of a batch, on several threads when there is more than one block.
 
     A block stays with its thread from call to call, so its state stays in that core's cache; the calling thread does
-    its share too.
+    its share too. A `map` inside a `map` (a tracker that imagines worlds) runs on the thread it is called on.
 
     Args:
         size: number of items in the batch.
         block: items in one block; small enough that a block's state stays in a core's cache.
-        threads: threads at work, the calling one included; None takes the number of cores this process may use.
+        threads: threads at work, the calling one included; None takes the number of cores this process may use. A
+            batch of fewer than `SMALLEST_BLOCK` items for each is given to fewer.
     """
 
     def __init__(self, size: int, block: int = 256, threads: int | None = None):
@@ -190,21 +191,29 @@ class Blocks:
     def map(self, function: Callable[..., T], *columns: Sequence[Any]) -> list[T]:
         """Call ``function(*row)`` for every block, one row of the columns per block; results in block order."""
         rows = list(zip(*columns, strict=True))
+        if self.threads == 1 or getattr(_SHARING, "inside", False):
+            return [function(*row) for row in rows]
         share = len(rows) // self.threads
-        shares = [rows[at : at + share] for at in range(0, len(rows), share)]
-
-        def run(share: list[tuple[Any, ...]]) -> list[T]:
-            return [function(*row) for row in share]
-
-        futures = [
-            worker.submit(run, part)
-            for worker, part in zip(_workers(self.threads - 1, os.getpid()), shares[1:], strict=True)
-        ]
+        first, *others = (rows[at : at + share] for at in range(0, len(rows), share))
+        workers = _workers(self.threads - 1, os.getpid())
+        futures = [worker.submit(_run_share, function, part) for worker, part in zip(workers, others, strict=True)]
         try:
-            results = run(shares[0])
+            results = _run_share(function, first)
         finally:
             wait(futures)  # an error here must not leave others at work
         return [*results, *(result for future in futures for result in future.result())]
+
+
+_SHARING = threading.local()
+
+
+def _run_share(function: Callable[..., T], rows: list[tuple[Any, ...]]) -> list[T]:
+    """One thread's rows; marks the thread as taken, for a worker that waited for itself would wait forever."""
+    _SHARING.inside = True
+    try:
+        return [function(*row) for row in rows]
+    finally:
+        _SHARING.inside = False
 
 
 def available_cores() -> int:
@@ -214,5 +223,5 @@ def available_cores() -> int:
 
 @lru_cache(maxsize=8)
 def _workers(count: int, process: int) -> list[ThreadPoolExecutor]:
-    """Single threads, the same for every caller in a process: a forked child must not inherit its parent's."""
+    """Single threads, the same for all callers that want as many; a forked child must not inherit its parent's."""
     return [ThreadPoolExecutor(1, thread_name_prefix=f"passive-env-{i}") for i in range(count)]

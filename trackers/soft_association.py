@@ -39,10 +39,10 @@ MERGE = 4.0
 
 @helper
 def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option):
-    """The n heaviest (hypothesis, option) branches of one track, heaviest first; returns their number.
+    """The heaviest (hypothesis, option) branches of one track, as many as `weight` has room for, heaviest first.
 
     `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents and
-    options.
+    options; returns their number.
     """
     n, room = lw.shape[0], weight.shape[0]
     kept = 0
@@ -172,7 +172,7 @@ def _scratch(shape: tuple[int, ...], stations: int, slots: int):
     """Working arrays of one call for banks [..., m, n, 4]: allocating inside the kernel would dominate its time."""
     m, n = shape[-3:-1]
     options, room = (slots + 1) ** stations, ROOM * n
-    width = max(room, m, slots) + 1
+    width = max(room, m, slots, 4) + 1
     return (
         np.empty((m, options, 2 + n)),
         np.empty((m, options, 3), dtype=np.int64),
