@@ -55,6 +55,8 @@ class Discrete:
 
 def _numbers(action: Any, shape: tuple[int, ...]) -> np.ndarray:
     try:
+        if np.iscomplexobj(action):
+            raise TypeError("complex")
         values = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"action {action!r}: must be numbers of shape {shape}") from error

@@ -71,7 +71,7 @@ class Scenario:
 
 def _check(owner: str, name: str, value: Any, rule: Any) -> None:
     kind = rule.get("kind", "free")
-    if kind == "choice" and value not in rule["options"]:
+    if kind == "choice" and not (isinstance(value, str) and value in rule["options"]):
         raise ValueError(f"{owner}.{name} = {value!r}: must be one of {', '.join(map(repr, rule['options']))}")
     if kind not in ("number", "integer"):
         return

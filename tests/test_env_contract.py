@@ -285,7 +285,7 @@ def test_an_episode_ends_after_its_steps_and_a_further_step_is_an_error(env_id, 
 def test_a_bad_action_is_an_error_and_leaves_the_episode_as_it_was():
     env, twin = (passive_env.PassiveEnv() for _ in range(2))
     env.reset(seed=0), twin.reset(seed=0)
-    for bad in (np.zeros(3), np.zeros((1, 2)), 0.0, [np.nan, 0.0], [np.inf, 0.0], ["left", "right"], None):
+    for bad in (np.zeros(3), np.zeros((1, 2)), 0.0, [np.nan, 0.0], [np.inf, 0.0], ["left", "right"], [1j, 0.0], None):
         with pytest.raises(ValueError, match="action"):
             env.step(bad)
     straight = np.zeros(2, dtype=np.float32)

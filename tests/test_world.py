@@ -701,7 +701,7 @@ def test_a_minimum_above_its_maximum_is_an_error_that_names_both(low, high):
     ("field", "value"),
     [
         ("course", "Paper"), ("course", None), ("bearings", "both"), ("actions", "box"), ("flight_split", "held-out"),
-        ("tracker", "kalman"), ("tracker", ""), ("course", 3),
+        ("tracker", "kalman"), ("tracker", ""), ("course", 3), ("course", np.array([1, 2])),
     ],
     ids=str,
 )  # fmt: skip
