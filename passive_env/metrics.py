@@ -115,7 +115,7 @@ def measure(
 def _depth(platform, x, y, radius):
     """Relative depth of a platform inside a circle; 0 outside, and for a circle without extent."""
     distance = math.hypot(platform[0] - x, platform[1] - y)
-    return 1.0 - distance / radius if distance < radius else 0.0
+    return max(0.0, 1.0 - distance / max(radius, 1e-9)) if radius > 0.0 else 0.0
 
 
 @kernel("(s,x),(m,x),(),(d,c)->(),()")

@@ -132,7 +132,7 @@ class Ownship(BearingScenario):
 
 @kernel("(),(m,t),(d,o),(l),(x),(c)->(x),(m,x),(d,c)")
 def _random_starts(heading_u, target_u, disc_u, limits, like_x, like_c, platform, start, discs):
-    """Platform at the origin, targets about it; disc j near the line of sight to target j modulo m."""
+    """Platform at the origin, targets about it; disc j on the way to target j modulo m, beside the line of sight."""
     two_pi = 2.0 * math.pi
     heading = two_pi * heading_u
     platform[0] = platform[1] = 0.0
@@ -149,7 +149,7 @@ def _random_starts(heading_u, target_u, disc_u, limits, like_x, like_c, platform
         x, y = start[d % n, 0], start[d % n, 1]
         distance = math.hypot(x, y)
         nearest = NEAREST_DISC * radius
-        along = nearest + max(distance - nearest, 0.0) * disc_u[d, 0]
+        along = nearest + max(distance - radius - nearest, 0.0) * disc_u[d, 0]
         across = DISC_OFFSET * radius * (2.0 * disc_u[d, 1] - 1.0)
         discs[d, 0], discs[d, 1] = (x * along - y * across) / distance, (y * along + x * across) / distance
         discs[d, 2] = radius
