@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Belief(NamedTuple):
-    """Knowledge after a scan; e environments, s platforms, m tracks.
+    """Knowledge after a scan; e environments, s platforms, m tracks, d no-go discs.
 
     Attributes:
         steps_left: [e] decisions left in the episode.
@@ -17,6 +17,7 @@ class Belief(NamedTuple):
         returns: [e, s] number of bearings received.
         last_action: [e, a] the previous action, 0 at first.
         track_state: the tracker's own state (hypotheses and their weights for a bank).
+        discs: [e, d, 3] no-go discs: centre x, y and radius [m]; d is 0 where there are none.
     """
 
     steps_left: Any
@@ -27,3 +28,4 @@ class Belief(NamedTuple):
     returns: Any
     last_action: Any
     track_state: Any
+    discs: Any

@@ -14,16 +14,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env.belief import Belief
-from passive_env.metrics import Metrics, measure
+from passive_env.metrics import Metrics, Violations, measure, violations
 from passive_env.rewards import Moment, evaluate
 from passive_env.sensors import sense
 from passive_env.tape import Tape
 from trackers.bounds import bound_prior
 from trackers.gaussian import Gaussian
 
-PRIOR_RANGE_STD_M = 15e3
 PRIOR_VELOCITY_STD_M_S = 200.0
-"""Prior of the Cramér–Rao bound at the first scan, as in the specification of Xiu et al. (2002), section 10."""
+"""Velocity prior of the Cramér–Rao bound at the first scan, the trackers' own; the scenario supplies the range's."""
 PRIOR_BEARING_STD_RAD = 10.0
 """Nothing is known across the line of sight before the first scan; its bearings are counted once, as every scan's."""
 
@@ -42,6 +41,7 @@ class World(NamedTuple):
     bound: Any
     truth: Any
     metrics: Metrics
+    violations: Violations
 
 
 class Simulation:
@@ -77,13 +77,15 @@ class Simulation:
         estimate = self.tracker.estimate(state)
         stations = tape.platforms.shape[1]
         prior = bound_prior(
-            truth, tape.platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, PRIOR_RANGE_STD_M, PRIOR_VELOCITY_STD_M_S
-        )
+            truth, tape.platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self.scenario.bound_range_std_m,
+            PRIOR_VELOCITY_STD_M_S,
+        )  # fmt: skip
         bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0, self._std)
         return World(
             step, tape.platforms, tape, state, estimate,
             np.ones((batch, targets, stations), dtype=bool), scan.valid.sum(-1),
             np.zeros((batch, self.actions.size)), bound, truth, metrics,
+            violations(tape.platforms, truth, self.scenario.standoff_m, tape.discs),
         )  # fmt: skip
 
     def advance(self, world: World, command: Any) -> tuple[World, Any, dict[str, Any]]:
@@ -101,11 +103,9 @@ class Simulation:
         returns = np.add.reduce(sighting.scan.valid, axis=-1)
         new = World(
             step, platforms, world.tape, update.posterior, estimate, assigned, returns, command, bound,
-            sighting.truth, metrics,
+            sighting.truth, metrics, violations(platforms, sighting.truth, scenario.standoff_m, world.tape.discs),
         )  # fmt: skip
-        moment = Moment(
-            metrics, world.metrics, command, platforms, sighting.truth, scenario.standoff_m, self.finished(new)
-        )
+        moment = Moment(metrics, world.metrics, new.violations, command, self.finished(new))
         reward, terms = evaluate(scenario.reward_weights, moment)
         return new, reward, terms
 
@@ -113,7 +113,7 @@ class Simulation:
         """What an operator knows of the world."""
         return Belief(
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
-            world.assigned, world.returns, world.last_action, world.track_state,
+            world.assigned, world.returns, world.last_action, world.track_state, world.tape.discs,
         )  # fmt: skip
 
     def observe(self, world: World) -> Any:

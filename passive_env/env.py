@@ -23,7 +23,9 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
     Reward: weighted terms (`passive_env.rewards`); ``info["reward_terms"]`` shows each. Default: −log(range error /
         1 km), mean over targets.
     Episode end: truncated after ``steps`` decisions; never terminated.
-    info: ``range_error_m, position_error_m, range_m, range_crlb_m, nees, lost``, each [targets]; ``reward_terms``.
+    info: ``range_error_m, position_error_m, range_m, range_crlb_m, nees, lost``, each [targets];
+        ``standoff_violation, nogo_violation``: relative depth of intrusion into stand-off rings and no-go discs, summed
+        over pairs, 0 while every platform keeps clear; ``reward_terms``.
 
     Args:
         scenario: catalogue name or a `Scenario`.
@@ -119,5 +121,7 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
             "range_crlb_m": m.range_crlb_m[0].copy(),
             "nees": m.nees[0].copy(),
             "lost": m.lost[0].copy(),
+            "standoff_violation": float(self.world.violations.standoff[0]),
+            "nogo_violation": float(self.world.violations.nogo[0]),
             "reward_terms": terms,
         }

@@ -62,23 +62,27 @@ def turn(states, turn_rate, step_s):
     return _turn(states, turn_rate, step_s)
 
 
+@helper
+def _fly(state, t, end, turn_rate, turn_window, acceleration, acceleration_window):
+    """Move a state from time t to end, exact over pieces between the instants at which a window opens or closes."""
+    while t < end:
+        until = end
+        for edge in (turn_window[0], turn_window[1], acceleration_window[0], acceleration_window[1]):
+            if t < edge < until:
+                until = edge
+        middle = 0.5 * (t + until)
+        rate = turn_rate if turn_window[0] <= middle < turn_window[1] else 0.0
+        a = acceleration if acceleration_window[0] <= middle < acceleration_window[1] else 0.0
+        advance_in_place(state, a, rate, until - t)
+        t = until
+
+
 @kernel("(x),(),(w),(),(w),(),(k)->(k,x)")
 def _maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, like, path):
-    """Exact over pieces between the instants at which a window opens or closes."""
     state = start.copy()
     path[0] = start
     for k in range(1, like.shape[0]):
-        t, end = (k - 1) * step_s, k * step_s
-        while t < end:
-            until = end
-            for edge in (turn_window[0], turn_window[1], acceleration_window[0], acceleration_window[1]):
-                if t < edge < until:
-                    until = edge
-            middle = 0.5 * (t + until)
-            rate = turn_rate if turn_window[0] <= middle < turn_window[1] else 0.0
-            a = acceleration if acceleration_window[0] <= middle < acceleration_window[1] else 0.0
-            advance_in_place(state, a, rate, until - t)
-            t = until
+        _fly(state, (k - 1) * step_s, k * step_s, turn_rate, turn_window, acceleration, acceleration_window)
         path[k] = state
 
 
@@ -94,3 +98,32 @@ def maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, s
         [..., k + 1, 4] exact states at multiples of the step.
     """
     return _maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, steps_axis)
+
+
+@kernel("(x),(t),(t,w),(),(k)->(k,x)")
+def _weave(start, turn_rates, turn_windows, step_s, like, path):
+    state = start.copy()
+    path[0] = start
+    i, last, never = 0, turn_rates.shape[0] - 1, (0.0, 0.0)
+    for k in range(1, like.shape[0]):
+        t, end = (k - 1) * step_s, k * step_s
+        while i < last and turn_windows[i, 1] <= end:
+            _fly(state, t, turn_windows[i, 1], turn_rates[i], turn_windows[i], 0.0, never)
+            t = turn_windows[i, 1]
+            i += 1
+        _fly(state, t, end, turn_rates[i], turn_windows[i], 0.0, never)
+        path[k] = state
+
+
+def weave(start, turn_rates, turn_windows, step_s, steps_axis):
+    """Path of a target that turns in several windows of time and flies straight between them, at constant speed.
+
+    Args:
+        start: [..., 4] m, m/s.
+        turn_rates: [..., t] rad/s, t >= 1.
+        turn_windows: [..., t, 2] s, from and to, in order of time and without overlap.
+        step_s: s; steps_axis: [k + 1] any array of the path's length.
+    Returns:
+        [..., k + 1, 4] exact states at multiples of the step.
+    """
+    return _weave(start, turn_rates, turn_windows, step_s, steps_axis)

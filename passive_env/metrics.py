@@ -39,6 +39,20 @@ class Metrics(NamedTuple):
     lost: Any
 
 
+class Violations(NamedTuple):
+    """How deep platforms are where they should not be, each [...] and 0 while every platform keeps clear.
+
+    A depth is relative: 0 at a ring's edge, 1 at its centre.
+
+    Attributes:
+        standoff: sum over platform–target pairs of the depth in the target's stand-off ring [1].
+        nogo: sum over platform–disc pairs of the depth in the no-go disc [1].
+    """
+
+    standoff: Any
+    nogo: Any
+
+
 @helper
 def _at_most(value, limit):
     return value if value <= limit else limit  # NaN compares False
@@ -95,3 +109,33 @@ def measure(
         all_stations, lost_error_m, lost_nees,
     )  # fmt: skip
     return new_bound, Metrics(*figures)
+
+
+@helper
+def _depth(platform, x, y, radius):
+    """Relative depth of a platform inside a circle; 0 outside, and for a circle without extent."""
+    distance = math.hypot(platform[0] - x, platform[1] - y)
+    return max(0.0, 1.0 - distance / max(radius, 1e-9)) if radius > 0.0 else 0.0
+
+
+@kernel("(s,x),(m,x),(),(d,c)->(),()")
+def _violations(platforms, truth, standoff_m, discs, standoff, nogo):
+    standoff[0] = nogo[0] = 0.0
+    for s in range(platforms.shape[0]):
+        for m in range(truth.shape[0]):
+            standoff[0] += _depth(platforms[s], truth[m, 0], truth[m, 1], standoff_m)
+        for d in range(discs.shape[0]):
+            nogo[0] += _depth(platforms[s], discs[d, 0], discs[d, 1], discs[d, 2])
+
+
+def violations(platforms, truth, standoff_m, discs) -> Violations:
+    """Depths of intrusion into stand-off rings and no-go discs.
+
+    Args:
+        platforms: [..., s, 4]; truth: [..., m, 4] m.
+        standoff_m: radius of the ring about every target, 0 for none.
+        discs: [..., d, 3] centre x, y and radius [m].
+    """
+    if standoff_m == 0.0 and discs.shape[-2] == 0:
+        return Violations(np.zeros(platforms.shape[:-2]), np.zeros(platforms.shape[:-2]))
+    return Violations(*_violations(platforms, truth, standoff_m, discs))

@@ -57,16 +57,22 @@ def _write_platforms(platforms, c, s, out, i):
 
 
 @helper
-def _write_track(x, platforms, c, s, out, i):
-    """Range, bearing and velocity of a track from the reference, range and crossing angle from the other platforms."""
+def _write_track(x, platforms, alone, c, s, out, i):
+    """Range, bearing and velocity of a track from the reference, range and crossing angle from the other platforms.
+
+    One platform's line of sight to a track that is `alone` is ψ itself: its bearing is left out.
+    """
     ref = platforms.shape[0] - 1
     dx, dy = x[0] - platforms[ref, 0], x[1] - platforms[ref, 1]
     r = max(math.hypot(dx, dy), 1.0)
     a, b = dx / r, dy / r
     out[i] = math.log(r / 5e4)
-    out[i + 1], out[i + 2] = c * a + s * b, c * b - s * a
-    out[i + 3], out[i + 4] = (a * x[2] + b * x[3]) / 300.0, (a * x[3] - b * x[2]) / 300.0
-    i += 5
+    i += 1
+    if not alone:
+        out[i], out[i + 1] = c * a + s * b, c * b - s * a
+        i += 2
+    out[i], out[i + 1] = (a * x[2] + b * x[3]) / 300.0, (a * x[3] - b * x[2]) / 300.0
+    i += 2
     for p in range(ref):
         ex, ey = x[0] - platforms[p, 0], x[1] - platforms[p, 1]
         e = max(math.hypot(ex, ey), 1.0)
@@ -97,20 +103,33 @@ def _write_covariance(P, a, b, out, i):
     return i + 10
 
 
-@kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(d)->(d)", "ffffbfgg")
-def _observe(time_left, platforms, mean, cov, assigned, last_action, like, out):
+@helper
+def _write_discs(discs, platforms, c, s, out, i):
+    """Centres of no-go discs relative to the reference, in the frame of ψ; returns the next index."""
+    ref = platforms.shape[0] - 1
+    for k in range(discs.shape[0]):
+        dx, dy = discs[k, 0] - platforms[ref, 0], discs[k, 1] - platforms[ref, 1]
+        out[i], out[i + 1] = (c * dx + s * dy) / 2e4, (c * dy - s * dx) / 2e4
+        i += 2
+    return i
+
+
+@kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(h,c),(d)->(d)", "ffffbffgg")
+def _observe(time_left, platforms, mean, cov, assigned, last_action, discs, like, out):
     c, s = _mean_sight(platforms, mean)
+    alone = platforms.shape[0] == 1 and mean.shape[0] == 1
     out[0] = time_left
     i = _write_platforms(platforms, c, s, out, 1)
     for k in range(last_action.shape[0]):
         out[i + k] = last_action[k]
     i += last_action.shape[0]
     for m in range(mean.shape[0]):
-        i, a, b = _write_track(mean[m], platforms, c, s, out, i)
+        i, a, b = _write_track(mean[m], platforms, alone, c, s, out, i)
         i = _write_covariance(cov[m], a, b, out, i)
         for p in range(platforms.shape[0]):
             out[i + p] = 1.0 if assigned[m, p] else 0.0
         i += platforms.shape[0]
+    i = _write_discs(discs, platforms, c, s, out, i)
     for k in range(i):  # a diverged tracker's NaN reads 0
         out[k] = _clip(out[k])
 
@@ -119,11 +138,12 @@ class TrackObservation:
     """Platforms and tracks relative to the mean line of sight, whole track covariances in their line-of-sight frames.
 
     The mean line of sight ψ runs from the platforms' midpoint to the middle of the tracks; the reference platform is
-    the last one. Fields, in order: see `fields`.
+    the last one. Fields, in order: see `fields`. With one platform and one track ψ is the track's line of sight, so the
+    track's bearing is left out.
     """
 
-    def __init__(self, stations: int, targets: int, actions: int, steps: int):
-        self.fields = tuple(_fields(stations, targets, actions))
+    def __init__(self, stations: int, targets: int, actions: int, steps: int, discs: int = 0):
+        self.fields = tuple(_fields(stations, targets, actions, discs))
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self._like = np.empty(len(self.fields), dtype=np.float32)
         self._steps = float(steps)
@@ -132,11 +152,11 @@ class TrackObservation:
         """Observation [e, d] float32 inside the space."""
         return _observe(
             belief.steps_left / self._steps, belief.platforms, belief.mean, belief.cov, belief.assigned,
-            belief.last_action, self._like,
+            belief.last_action, belief.discs, self._like,
         )  # fmt: skip
 
 
-def _fields(stations: int, targets: int, actions: int):
+def _fields(stations: int, targets: int, actions: int, discs: int):
     yield Field("time_left", "1", "share of the episode's steps")
     for s in range(stations):
         if s < stations - 1:
@@ -149,8 +169,9 @@ def _fields(stations: int, targets: int, actions: int):
     for m in range(targets):
         name = f"track{m}"
         yield Field(f"{name}.log_range", "m", "log(range from the reference / 50 km)")
-        yield Field(f"{name}.bearing_cos", "1", "cosine of line of sight − ψ")
-        yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ")
+        if stations > 1 or targets > 1:
+            yield Field(f"{name}.bearing_cos", "1", "cosine of line of sight − ψ")
+            yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ")
         yield Field(f"{name}.radial_velocity", "m/s", "/ 300 m/s")
         yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive")
         for s in range(stations - 1):
@@ -167,3 +188,6 @@ def _fields(stations: int, targets: int, actions: int):
                 yield Field(f"{name}.corr_{first}_{second}", "1", "correlation coefficient")
         for s in range(stations):
             yield Field(f"{name}.assigned{s}", "1", f"1 if platform {s}'s bearing updated the track")
+    for d in range(discs):
+        yield Field(f"disc{d}.along", "m", "centre of a no-go disc relative to the reference platform along ψ / 20 km")
+        yield Field(f"disc{d}.across", "m", "the same, left of ψ / 20 km")

@@ -2,7 +2,8 @@
 
 A picture holds, in the colour of its target, the true path (solid, dart at its head), the track's estimate (ring) with
 its 2σ ellipse, the hypotheses of a bank (dots, larger and darker with weight) and a thin line to the estimate from
-every station whose bearing updated the track; in black the stations with their trails. Axes are km, east-north.
+every station whose bearing updated the track; in black the stations with their trails; where the scenario has them,
+no-go discs (hatched) and stand-off rings (dashed). Axes are km, east-north.
 
 The window of mode "human" is pyplot's; mode "rgb_array" neither imports pyplot nor touches any global setting.
 """
@@ -40,6 +41,10 @@ LINE_BEYOND = 1.06
 """A bearing line ends this many times as far as the estimate."""
 DART_PT, RING_PT = 13.0, 16.0
 """Sizes of markers; a ring leaves the dart inside visible."""
+RING_LINE = (0, (5, 3))
+"""Dashes of a stand-off ring."""
+DISC: dict[str, Any] = {"facecolor": (*to_rgb(MUTED), 0.12), "edgecolor": MUTED, "linewidth": 0.9, "hatch": "///"}
+"""Style of a no-go disc."""
 PAUSE_S = 0.1
 """Time a window stays at one step."""
 
@@ -92,7 +97,8 @@ class Viewer:
         if self._scene is None:
             figure = _figure() if self._window is None else self._window.figure
             stations, targets = world.platforms.shape[1], world.truth.shape[1]
-            self._scene = Scene(figure, stations, targets, self._simulation.scenario.steps)
+            scenario = self._simulation.scenario
+            self._scene = Scene(figure, stations, targets, scenario.steps, scenario.standoff_m)
         if self._trail.add(world):
             self._frame = None
         self._frame = grow(self._frame, _contents(world, self._trail, self._frame is None), self._scene.aspect)
@@ -187,17 +193,21 @@ class Scene:
         figure: an empty figure.
         stations, targets: how many.
         steps: the episode's length, for the title.
+        standoff_m: radius of the targets' stand-off rings, 0 for none.
     """
 
-    def __init__(self, figure: Figure, stations: int, targets: int, steps: int):
-        self._figure, self._steps = figure, steps
+    def __init__(self, figure: Figure, stations: int, targets: int, steps: int, standoff_m: float = 0.0):
+        self._figure, self._steps, self._standoff_m = figure, steps, standoff_m
         self._axes = axes = figure.add_axes(AXES_BOX)
         style_axes(axes)
         self.aspect = AXES_BOX[2] / AXES_BOX[3]
         colors = [series_color(j) for j in range(targets)]
         self._colors = np.array([to_rgb(color) for color in colors])
         per_line = [color for color in colors for _ in range(stations)]
+        self._discs = add_discs(axes)
         self._bearings = add_lines(axes, per_line, 0.8, alpha=0.35)
+        self._rings = add_lines(axes, colors, 1.2, alpha=0.8)
+        self._rings.set_linestyle(RING_LINE)
         self._trails = add_lines(axes, [INK], 1.4, alpha=0.75)
         self._courses = add_lines(axes, colors, 2.0)
         self._ellipses = add_ellipses(axes, colors)
@@ -217,7 +227,7 @@ class Scene:
         """Show a world (a batch of one) with the platforms' trails [s, k, 2] m inside a frame."""
         step = int(world.step[0])
         hypotheses = hypotheses_of(world.track_state)
-        self._show_axes(frame, hypotheses is not None)
+        self._show_axes(frame, hypotheses is not None, world)
         self._show_platforms(world, trails, frame)
         self._show_targets(world, step)
         self._show_tracks(world, frame)
@@ -240,12 +250,14 @@ class Scene:
             artist.draw(canvas.get_renderer())
         return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
-    def _show_axes(self, frame: Frame, hypotheses: bool) -> None:
+    def _show_axes(self, frame: Frame, hypotheses: bool, world: World) -> None:
         if self._shown == (hypotheses, *frame.low, *frame.high):
             return
         self._shown, self._background = (hypotheses, *frame.low, *frame.high), None
         set_limits(self._axes, frame)
-        bottom_legend(self._figure, legend_samples(hypotheses), columns=3)
+        samples = legend_samples(hypotheses, world.platforms.shape[1] > 1)
+        samples += zone_samples(world.tape.discs.shape[1] > 0, self._standoff_m > 0.0)
+        bottom_legend(self._figure, samples, columns=3 if len(samples) <= 6 else 4)  # two rows have room
 
     def _show_platforms(self, world: World, trails: np.ndarray, frame: Frame) -> None:
         self._trails.set_segments(list(1e-3 * trails))
@@ -254,6 +266,9 @@ class Scene:
             place_name(name, state, world.platforms[0, :, :2].mean(0), frame)
 
     def _show_targets(self, world: World, step: int) -> None:
+        self._discs.set_verts(list(1e-3 * circles(world.tape.discs[0, :, :2], world.tape.discs[0, :, 2])))
+        if self._standoff_m > 0.0:
+            self._rings.set_segments(list(1e-3 * circles(world.truth[0, :, :2], self._standoff_m)))
         courses = world.tape.targets[0, : step + 1, :, :2]
         self._courses.set_segments(list(1e-3 * np.swapaxes(courses, 0, 1)))
         for state, line, number in zip(world.truth[0], self._targets, self._target_names, strict=True):
@@ -308,6 +323,11 @@ def ellipses(mean: Any, cov: Any) -> np.ndarray:
     return np.asarray(mean)[..., None, :] + np.swapaxes(half_axes @ _CIRCLE, -1, -2)
 
 
+def circles(center: Any, radius: Any) -> np.ndarray:
+    """Outlines [..., 65, 2] of circles about center [..., 2] with radius [...], in the same unit."""
+    return np.asarray(center)[..., None, :] + np.asarray(radius)[..., None, None] * _CIRCLE.T
+
+
 def edge_points(start: np.ndarray, ends: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Where the segments from start [2] inside a frame to ends [m, 2] stop: points [m, 2], cut short [m] bool."""
     inset = 0.02 * (frame.high - frame.low)
@@ -318,10 +338,11 @@ def edge_points(start: np.ndarray, ends: np.ndarray, frame: Frame) -> tuple[np.n
 
 
 def _contents(world: World, trail: Trail, first: bool) -> np.ndarray:
-    """Points [n, 2] km that the frame must hold; the first frame also holds the targets' near future."""
+    """Points [n, 2] km that the frame must hold: trails, courses, discs; at first also the targets' near future."""
     last = int(world.step[0]) + 1 + (LOOK_AHEAD if first else 0)
     targets = world.tape.targets[0, :last, :, :2]
-    return 1e-3 * np.concatenate([trail.paths.reshape(-1, 2), targets.reshape(-1, 2)])
+    discs = circles(world.tape.discs[0, :, :2], world.tape.discs[0, :, 2])
+    return 1e-3 * np.concatenate([points.reshape(-1, 2) for points in (trail.paths, targets, discs)])
 
 
 def hypotheses_of(state: Any) -> Hypotheses | None:
@@ -390,6 +411,13 @@ def add_ellipses(axes: Axes, colors: list[str]) -> PolyCollection:
     return outlines
 
 
+def add_discs(axes: Axes) -> PolyCollection:
+    """Hatched no-go discs; `set_verts` places them."""
+    outlines = PolyCollection([], **DISC, zorder=1)
+    axes.add_collection(outlines)
+    return outlines
+
+
 def place_dart(line: Line2D, state_m: Any) -> None:
     """Put a dart at a state [4] m, m/s, pointing along its velocity."""
     heading_deg = math.degrees(math.atan2(state_m[3], state_m[2]))
@@ -444,10 +472,10 @@ def place_number(note: Any, state_m: Any, reference_m: Any) -> None:
     note.set(ha="center", va="center", position=(17.0 * y / distance, -17.0 * x / distance))
 
 
-def legend_samples(hypotheses: bool) -> list[Any]:
-    """Samples of the legend; hypotheses only where the tracker has them."""
+def legend_samples(hypotheses: bool, reference: bool = True) -> list[Any]:
+    """Samples of the legend; hypotheses only where the tracker has them, a reference where there are more stations."""
     samples: list[Any] = [
-        _dart_sample(INK, 1.4, "station (ref.: reference)"),
+        _dart_sample(INK, 1.4, "station (ref.: reference)" if reference else "platform"),
         _dart_sample(MUTED, 2.0, "true target, path"),
         Line2D([], [], **ring(MUTED, 9.0), label="estimate (arrow: off the picture)"),
         Patch(facecolor=(*to_rgb(MUTED), 0.16), edgecolor=MUTED, linewidth=0.9, label="its 2σ ellipse"),
@@ -458,18 +486,27 @@ def legend_samples(hypotheses: bool) -> list[Any]:
     return [*samples, dot] if hypotheses else samples
 
 
+def zone_samples(discs: bool, rings: bool) -> list[Any]:
+    """Samples of the zones a scenario has."""
+    disc = Patch(**DISC, label="no-go disc")
+    standoff = Line2D([], [], color=MUTED, linewidth=1.2, linestyle=RING_LINE, label="stand-off ring")
+    return [disc] * discs + [standoff] * rings
+
+
 def bottom_legend(figure: Figure, samples: list[Any], columns: int) -> None:
     """Replace the figure's legend by one along its lower edge."""
     for old in figure.legends:
         old.remove()
     figure.legend(
         handles=samples, loc="lower center", ncols=columns, fontsize=9, frameon=False, labelcolor=INK,
-        bbox_to_anchor=(0.53, 0.0), columnspacing=2.5,
+        bbox_to_anchor=(0.53, 0.0) if columns <= 3 else (0.5, 0.0), columnspacing=2.5 if columns <= 3 else 1.0,
     )  # fmt: skip
 
 
 def station_names(stations: int) -> list[str]:
-    """Names of the stations; the last one is the reference."""
+    """Names of the stations; the last one is the reference, the only one needs no number."""
+    if stations == 1:
+        return ["platform"]
     return [f"S{i + 1}{' (ref.)' if i == stations - 1 else ''}" for i in range(stations)]
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.metrics import Metrics
+from passive_env.metrics import Metrics, Violations
 from trackers.compiled import kernel
 
 
@@ -21,18 +21,15 @@ class Moment(NamedTuple):
 
     Attributes:
         metrics, previous: figures of merit now and one step earlier, each [e, m].
+        violations: intrusions into stand-off rings and no-go discs, each [e].
         command: [e, a] in [−1, 1].
-        platforms: [e, s, 4]; truth: [e, m, 4].
-        standoff_m: distance that platforms must keep from targets, 0 for none.
         final: [e] bool, the episode's last step.
     """
 
     metrics: Metrics
     previous: Metrics
+    violations: Violations
     command: Any
-    platforms: Any
-    truth: Any
-    standoff_m: float
     final: Any
 
 
@@ -50,15 +47,6 @@ def _mean_ratio(numerator, denominator, out):
     for m in range(numerator.shape[0]):
         total += min(numerator[m] / max(denominator[m], 1.0), 10.0)
     out[0] = total / numerator.shape[0]
-
-
-@kernel("(s,x),(m,x),()->()")
-def _intrusion(platforms, truth, standoff, out):
-    out[0] = 0.0
-    for s in range(platforms.shape[0]):
-        for m in range(truth.shape[0]):
-            d = math.hypot(platforms[s, 0] - truth[m, 0], platforms[s, 1] - truth[m, 1])
-            out[0] += max(0.0, 1.0 - d / standoff) if standoff > 0.0 else 0.0
 
 
 ERROR_FLOOR_M = 30.0
@@ -97,7 +85,12 @@ def maneuver(moment: Moment):
 
 def standoff(moment: Moment):
     """−Σ over platform–target pairs of the relative depth of intrusion into the stand-off ring [1]."""
-    return -_intrusion(moment.platforms, moment.truth, moment.standoff_m)
+    return -moment.violations.standoff
+
+
+def nogo(moment: Moment):
+    """−Σ over platform–disc pairs of the relative depth of intrusion into the no-go disc [1]."""
+    return -moment.violations.nogo
 
 
 def lost_track(moment: Moment):
@@ -115,6 +108,7 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         information_gain,
         maneuver,
         standoff,
+        nogo,
         lost_track,
     )
 }

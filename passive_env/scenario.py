@@ -31,6 +31,11 @@ def choice(default: str, options: tuple[str, ...], doc: str) -> Any:
     return field(default=default, metadata={"kind": "choice", "options": options, "doc": doc})
 
 
+def flag(default: bool, doc: str) -> Any:
+    """A field that is True or False."""
+    return field(default=default, metadata={"kind": "flag", "doc": doc})
+
+
 def free(default: Any, doc: str) -> Any:
     """A field checked elsewhere (a file path, a user's object)."""
     return field(default=default, metadata={"kind": "free", "doc": doc})
@@ -47,7 +52,7 @@ class Scenario:
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
-            if isinstance(value, np.number):  # of a parameter sweep
+            if isinstance(value, (np.number, np.bool_)):  # of a parameter sweep
                 value = value.item()
                 object.__setattr__(self, f.name, value)
             _check(type(self).__name__, f.name, value, f.metadata)
@@ -73,6 +78,8 @@ def _check(owner: str, name: str, value: Any, rule: Any) -> None:
     kind = rule.get("kind", "free")
     if kind == "choice" and not (isinstance(value, str) and value in rule["options"]):
         raise ValueError(f"{owner}.{name} = {value!r}: must be one of {', '.join(map(repr, rule['options']))}")
+    if kind == "flag" and not isinstance(value, bool):
+        raise ValueError(f"{owner}.{name} = {value!r}: must be True or False")
     if kind not in ("number", "integer"):
         return
     numeric = isinstance(value, int) or (kind == "number" and isinstance(value, float))

@@ -25,6 +25,7 @@ class Tape(NamedTuple):
         false_bearings: [e, k + 1, s, b − m] rad, uniform; the first false_count of them appear.
         false_count: [e, k + 1, s] int.
         order: [e, k + 1, s, b] uniform, decides the order of the returns.
+        discs: [e, d, 3] no-go discs: centre x, y and radius [m]; d is 0 where there are none.
     """
 
     platforms: Any
@@ -34,6 +35,7 @@ class Tape(NamedTuple):
     false_bearings: Any
     false_count: Any
     order: Any
+    discs: Any
 
 
 class ReturnModel(NamedTuple):

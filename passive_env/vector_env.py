@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from passive_env.belief import Belief
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation, World, map_rows, replace_rows
+from passive_env.metrics import Metrics, Violations
 from passive_env.observations import Field
 from passive_env.scenario import Scenario
 from trackers.compiled import Blocks
@@ -213,11 +214,11 @@ class PassiveVectorEnv(VectorEnv):
 
     def _info(self, terms: dict[str, np.ndarray]) -> dict[str, Any]:
         assert self._worlds is not None
-        fields = self._worlds[0].metrics._fields
-        columns = zip(*(world.metrics for world in self._worlds), strict=True)
-        info: dict[str, Any] = {name: np.concatenate(parts) for name, parts in zip(fields, columns, strict=True)}
+        names = (*Metrics._fields, *(f"{name}_violation" for name in Violations._fields))
+        columns = zip(*((*world.metrics, *world.violations) for world in self._worlds), strict=True)
+        info: dict[str, Any] = {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
         info["reward_terms"] = terms
-        return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in (*fields, "reward_terms")}
+        return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in info}
 
 
 def _hold(world: World, fresh: np.ndarray, steps: int) -> World:

@@ -22,7 +22,7 @@ from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
 from passive_env.kinematics import maneuver, turn
-from passive_env.metrics import Metrics
+from passive_env.metrics import Metrics, violations
 from passive_env.rewards import TERMS, Moment
 from passive_env.sensors import sense
 from trackers import Gaussian, Scan, Tracker, Update
@@ -431,8 +431,8 @@ def test_every_order_of_returns_is_equally_likely(targets):
 # ------------------------------------------------------------------------------------------------ rewards
 
 
-def moment(**changes) -> Moment:
-    """Two targets, two platforms, one environment; every number chosen by hand."""
+def moment(standoff_m=12e3, **changes) -> Moment:
+    """Two targets, two platforms, one disc, one environment; every number chosen by hand."""
     now = Metrics(
         range_error_m=np.array([[2000.0, 500.0]]),
         position_error_m=np.array([[2500.0, 900.0]]),
@@ -444,8 +444,10 @@ def moment(**changes) -> Moment:
     before = now._replace(range_crlb_m=np.array([[4000.0, 500.0]]))
     platforms = np.array([[[0.0, 0.0, 250.0, 0.0], [10e3, 0.0, 250.0, 0.0]]])
     truth = np.array([[[0.0, 3e3, 1.0, 1.0], [10e3, 40e3, 1.0, 1.0]]])
-    values = {"metrics": now, "previous": before, "command": np.array([[1.0, -0.5]]), "platforms": platforms}
-    return Moment(**{**values, "truth": truth, "standoff_m": 12e3, "final": np.array([True]), **changes})
+    discs = np.array([[[13e3, 4e3, 8e3]]])
+    deep = violations(platforms, truth, standoff_m, discs)
+    values = {"metrics": now, "previous": before, "violations": deep, "command": np.array([[1.0, -0.5]])}
+    return Moment(**{**values, "final": np.array([True]), **changes})
 
 
 @pytest.mark.parametrize(
@@ -459,6 +461,7 @@ def moment(**changes) -> Moment:
         ("maneuver", -(1.0 + 0.25) / 2.0),
         # Station 0 is 3 km from target 0; station 1 is √109 km from it; both are 40 km or more from target 1.
         ("standoff", -((1.0 - 3.0 / 12.0) + (1.0 - math.sqrt(109.0) / 12.0))),
+        ("nogo", -(1.0 - 5.0 / 8.0)),  # station 1 is 5 km from the disc's centre, station 0 outside
         ("lost_track", -0.5),
     ],
 )
@@ -469,7 +472,7 @@ def test_reward_term_by_hand(term, expected):
 def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
     assert set(TERMS) == {
         "log_range_error", "relative_range_error", "log_range_bound", "final_log_range_bound", "information_gain",
-        "maneuver", "standoff", "lost_track",
+        "maneuver", "standoff", "nogo", "lost_track",
     }  # fmt: skip
     weights = {f.name for f in dataclasses.fields(TwoStation) if f.name.startswith("reward_")}
     assert weights == {f"reward_{term}" for term in TERMS}

@@ -259,8 +259,15 @@ class RpEkf:
     model: AssociationModel = AssociationModel()
 
     def initiate(self, scan: Scan) -> BranchedBank:
-        """One bank per reference bearing, over the range interval of its forward crossings."""
+        """One bank per reference bearing, over the range interval of its forward crossings.
+
+        A single station's bearings cross nothing: its banks cover the whole interval from floor to cap.
+        """
         alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
+        if scan.stations.shape[-2] == 1:
+            whole = RangeInterval(np.full(alpha.shape, self.floor_m), np.full(alpha.shape, self.cap_m))
+            bank = initiate(alpha, reference, scan.bearing_std, whole, self.hypotheses, 0.0, self.velocity_std)
+            return BranchedBank(*bank, bank.log_weights)
         others, station = scan.bearings[..., None, 0, :], scan.stations[..., None, 0, :]
         spread = 3.0 * math.sqrt(2.0) * scan.bearing_std
         valid = admissible_crossings(

@@ -1,14 +1,14 @@
-"""Scenarios by name, one module per paper; each becomes the environment ``passive/NAME-v0``."""
+"""Scenarios by name, one module per paper or problem; each becomes the environment ``passive/NAME-v0``."""
 
 from __future__ import annotations
 
 import difflib
 from typing import Any
 
-from passive_env.catalogue import two_station
+from passive_env.catalogue import ownship, two_station
 from passive_env.scenario import Scenario
 
-SCENARIOS: dict[str, Any] = {**two_station.CATALOGUE}
+SCENARIOS: dict[str, Any] = {**two_station.CATALOGUE, **ownship.CATALOGUE}
 """All scenarios by name."""
 
 NAMESPACE, VERSION = "passive", "v0"

@@ -7,27 +7,15 @@ Station 0 is the paper's station 1; the last station is the reference, the paper
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from passive_env.actions import Continuous, Discrete
-from passive_env.flights import FlightPaths, load_flights
-from passive_env.kinematics import maneuver, turn
-from passive_env.observations import TrackObservation
-from passive_env.rewards import TERMS
-from passive_env.scenario import Scenario, choice, free, integer, number
-from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
-from trackers import TRACKERS
-from trackers.association import AssociationModel
+from passive_env.catalogue.bearings import BearingScenario, Courses, instants_first
+from passive_env.kinematics import maneuver
+from passive_env.scenario import choice, integer, number
 from trackers.compiled import kernel
-from trackers.contract import Tracker
-
-STATIONS = 2
 
 
 @dataclass(frozen=True)
@@ -75,141 +63,52 @@ TABLE_1_RANGE_ERROR_KM = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwoStation(Scenario):
+class TwoStation(BearingScenario):
     """Two stations steer by turn rate; their tracker ranges up to six targets from unlabelled bearings."""
+
+    stations: ClassVar[int] = 2
+    ordered: ClassVar[tuple[tuple[str, str], ...]] = (("baseline_min_m", "baseline_max_m"), *BearingScenario.ordered)
 
     course: str = choice(
         "random", ("random", "flights", *PAPER_COURSES), "target motion: drawn, recorded flights, or a paper reading"
     )
     targets: int = integer(3, 1, 6, "number of targets")
-    steps: int = integer(45, 1, 10_000, "decisions per episode")
-    step_s: float = number(2.0, 0.1, 60.0, "time between scans")
-    station_speed_m_s: float = number(250.0, 0.0, 1000.0, "speed of both stations")
-    max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
-    bearing_std_deg: float = number(0.5, 1e-3, 10.0, "bearing noise")
     bearings: str = choice("all", ("all", "reference"), "whose bearings the filter uses after the first scan")
-    tracker: Any = free("rp_ekf", f"{' or '.join(TRACKERS)}, or an object with the tracker contract")
-    hypotheses: int = integer(8, 1, 64, "range hypotheses per target of a bank")
-    process_noise_m_s: float = number(15.0, 0.0, 500.0, "the filter's q, velocity increment per step")
-    detection_probability: float = number(1.0, 0.01, 1.0, "of each bearing, after the first scan")
-    false_bearings_mean: float = number(0.0, 0.0, 10.0, "false bearings per station and scan, after the first scan")
-    standoff_m: float = number(0.0, 0.0, 1e5, "distance stations should keep from targets; 0 for none")
     baseline_min_m: float = number(12e3, 100.0, 1e6, "shortest drawn distance between the stations")
     baseline_max_m: float = number(16e3, 100.0, 1e6, "longest")
-    range_min_m: float = number(60e3, 1e3, 1e6, "nearest drawn start of a target from the reference")
-    range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
     spacing_deg: float = number(7.5, 0.0, 60.0, "angle between neighbouring targets, seen from the reference")
     spacing_jitter_deg: float = number(1.5, 0.0, 60.0, "each target's bearing is shifted by up to this")
     course_spread_deg: float = number(
         30.0, 0.0, 180.0, "targets share a drawn course of any direction, each ± up to this"
     )
-    target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
-    target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
     maneuver_spread_s: float = number(4.0, 0.0, 1e3, "each target begins up to this long after the first")
     maneuver_start_max_s: float = number(
         40.0, 0.0, 1e5, "the targets turn and accelerate from a time between 10 s and this"
     )
     final_speed_m_s: float = number(440.0, 1.0, 3000.0, "speed a target accelerates to, ±10")
-    flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
-    flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
-    lost_error_m: float = number(5e3, 1.0, 1e6, "a track is lost if farther off than this …")
-    lost_nees: float = number(23.5, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 4 degrees)")
-    actions: str = choice("continuous", ("continuous", "discrete"), "Box turn rates, or 3 turn rates per station")
-    reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
-    reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
-    reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
-    reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
-    reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")
-    reward_maneuver: float = number(0.0, 0.0, 1e6, "weight")
-    reward_standoff: float = number(1.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
-    reward_lost_track: float = number(0.0, 0.0, 1e6, "weight")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for low, high in (
-            ("baseline_min_m", "baseline_max_m"),
-            ("range_min_m", "range_max_m"),
-            ("target_speed_min_m_s", "target_speed_max_m_s"),
-        ):
-            if getattr(self, low) > getattr(self, high):
-                raise ValueError(
-                    f"TwoStation.{low} = {getattr(self, low)}: must not exceed {high} = {getattr(self, high)}"
-                )
         if self.course in PAPER_COURSES and self.targets != len(NATURAL.targets_m):
-            raise ValueError(
-                f"TwoStation.targets = {self.targets}: course={self.course!r} has {len(NATURAL.targets_m)}"
-            )
-        if not isinstance(self.flights, (str, os.PathLike, type(None))):
-            raise ValueError(f"TwoStation.flights = {self.flights!r}: must be the path of a file, or None")
-        self.make_tracker()
+            raise self._error("targets", f"course={self.course!r} has {len(NATURAL.targets_m)}")
 
-    # -- the parts the core asks for ---------------------------------------------------------------------------------
+    @property
+    def bound_range_std_m(self) -> float:
+        """As in the specification of Xiu et al. (2002), section 10."""
+        return 15e3
 
-    def make_tracker(self) -> Tracker:
-        """The tracker object; a name is made with this scenario's settings.
+    @property
+    def course_uniforms(self) -> int:
+        """Eight numbers of the episode and six of each target."""
+        return 8 + 6 * self.targets
 
-        Raises:
-            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
-        """
-        if not isinstance(self.tracker, str):
-            return _checked_tracker(self.tracker)
-        if self.tracker not in TRACKERS:
-            raise ValueError(f"TwoStation.tracker = {self.tracker!r}: must be one of {', '.join(map(repr, TRACKERS))}")
-        kind = TRACKERS[self.tracker]
-        settings: dict[str, Any] = {"hypotheses": self.hypotheses} if self.tracker == "rp_ekf" else {}
-        model = AssociationModel(
-            detection_probability=self.detection_probability,
-            false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
-        )
-        return kind(
-            process_noise=self.process_noise_m_s, reference_only=self.bearings == "reference", model=model, **settings
-        )
-
-    def make_actions(self) -> Continuous | Discrete:
-        """Action codec, one turn rate per station."""
-        return Continuous(STATIONS) if self.actions == "continuous" else Discrete(STATIONS)
-
-    def make_observation(self) -> TrackObservation:
-        """Observation model."""
-        return TrackObservation(STATIONS, self.targets, STATIONS, self.steps)
-
-    @cached_property
-    def reward_weights(self) -> dict[str, float]:
-        """Weights of the reward terms in use."""
-        weights = {name: getattr(self, f"reward_{name}") for name in TERMS}
-        if self.standoff_m == 0.0:
-            weights["standoff"] = 0.0
-        return {name: weight for name, weight in weights.items() if weight > 0.0}
-
-    def move(self, platforms, command):
-        """Platforms [e, s, 4] after one step of turn commands [e, s] in [−1, 1]."""
-        return turn(platforms, command * math.radians(self.max_turn_rate_deg_s), self.step_s)
-
-    def draw_tape(self, generators: Sequence[np.random.Generator]) -> Tape:
-        """Tapes of len(generators) episodes, row i from generator i."""
-        k, m = self.steps + 1, self.targets
-        model = ReturnModel(k, STATIONS, m, self.detection_probability, self.false_bearings_mean)
-        course = 8 + 6 * m
-        z, u = draw(generators, k * STATIONS * m, course + uniforms_needed(model))
-        platforms, targets = self._courses(np.ascontiguousarray(u[:, :course]))
-        noise = z.reshape(-1, k, STATIONS, m)
-        return Tape(platforms, targets, noise, **returns(model, u[:, course:]))
-
-    def check_flights(self) -> None:
-        """Load the recorded flights now, so that a bad file is found before anything else is done.
-
-        Raises:
-            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
-        """
-        if self.course == "flights":
-            self._flight_paths.window_starts(self.steps)
-
-    # -- courses -----------------------------------------------------------------------------------------------------
-
-    def _courses(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def draw_courses(self, u: np.ndarray) -> Courses:
+        """Stations and targets of episodes from uniforms [e, course_uniforms]; there are no discs."""
+        discs = np.empty((len(u), 0, 3))
         if self.course in PAPER_COURSES:
-            return _fixed_courses(PAPER_COURSES[self.course], len(u), self.steps, self.step_s, self.station_speed_m_s)
-        like_stations, like_targets = np.empty((STATIONS, 4)), np.empty((self.targets, 4))
+            fixed = _fixed_courses(PAPER_COURSES[self.course], len(u), self.steps, self.step_s, self.station_speed_m_s)
+            return Courses(*fixed, discs)
+        like_stations, like_targets = np.empty((self.stations, 4)), np.empty((self.targets, 4))
         limits = np.array(
             [
                 self.baseline_min_m, self.baseline_max_m, self.range_min_m, self.range_max_m,
@@ -220,17 +119,12 @@ class TwoStation(Scenario):
         )  # fmt: skip
         stations, start, schedule = _random_starts(u, limits, like_stations, like_targets, np.empty(6))
         if self.course == "flights":
-            picks = u[:, 8:].reshape(len(u), self.targets, 6)[..., 5]
-            return stations, _place_flights(start, self._flight_paths.windows(picks, self.steps))
+            return Courses(stations, self.fly_flights(start, u[:, 8:].reshape(len(u), self.targets, 6)[..., 5]), discs)
         axis = np.empty(self.steps + 1)
         paths = maneuver(
             start, schedule[..., 0], schedule[..., 1:3], schedule[..., 3], schedule[..., 4:6], self.step_s, axis
         )
-        return stations, np.ascontiguousarray(np.swapaxes(paths, -2, -3))
-
-    @cached_property
-    def _flight_paths(self) -> FlightPaths:
-        return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
+        return Courses(stations, instants_first(paths), discs)
 
 
 @kernel("(c),(l),(s,x),(m,x),(w)->(s,x),(m,x),(m,w)")
@@ -262,22 +156,6 @@ def _random_starts(u, limits, like_s, like_m, like_w, stations, start, schedule)
         schedule[m, 4], schedule[m, 5] = begin, begin + max(final - speed, 0.0) / 10.0
 
 
-@kernel("(x),(k,y)->(k,x)")
-def _place_flight(start, window, path):
-    """Turn and shift a recorded window so that it begins at a start position on a start course."""
-    turn_by = math.atan2(start[3], start[2]) - math.atan2(window[0, 4], window[0, 3])
-    c, s = math.cos(turn_by), math.sin(turn_by)
-    for k in range(window.shape[0]):
-        dx, dy = window[k, 0] - window[0, 0], window[k, 1] - window[0, 1]
-        path[k, 0], path[k, 1] = start[0] + c * dx - s * dy, start[1] + s * dx + c * dy
-        path[k, 2], path[k, 3] = c * window[k, 3] - s * window[k, 4], s * window[k, 3] + c * window[k, 4]
-
-
-def _place_flights(start, windows) -> np.ndarray:
-    """Recorded windows [e, m, k + 1, 6] moved to the starts [e, m, 4]: [e, k + 1, m, 4]; shape and speed unaltered."""
-    return np.ascontiguousarray(np.swapaxes(_place_flight(start, windows), -2, -3))
-
-
 def _fixed_courses(course: PaperCourse, batch: int, steps: int, step_s: float, station_speed: float):
     stations = _states(course.stations_m, course.station_heading_deg, station_speed)
     start = _states(course.targets_m, course.target_heading_deg, course.speed_m_s)
@@ -295,17 +173,6 @@ def _fixed_courses(course: PaperCourse, batch: int, steps: int, step_s: float, s
 def _states(positions, headings_deg, speed) -> np.ndarray:
     heading = np.radians(headings_deg)
     return np.column_stack([np.array(positions), speed * np.cos(heading), speed * np.sin(heading)])
-
-
-def _checked_tracker(tracker: Any) -> Tracker:
-    missing = [
-        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
-    ]
-    if missing:
-        raise TypeError(
-            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
-        )
-    return tracker
 
 
 CATALOGUE: dict[str, TwoStation] = {"TwoStation": TwoStation()}

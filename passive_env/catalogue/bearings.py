@@ -1,0 +1,230 @@
+"""What scenarios of moving direction finders share: stations that steer by turn rate, unlabelled bearings, a tracker.
+
+A scenario of this family says how many stations there are (`BearingScenario.stations`) and draws where everybody starts
+and how the targets move (`BearingScenario.draw_courses`); the rest is here.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from passive_env.actions import Continuous, Discrete
+from passive_env.flights import FlightPaths, load_flights
+from passive_env.kinematics import turn
+from passive_env.observations import TrackObservation
+from passive_env.rewards import TERMS
+from passive_env.scenario import Scenario, choice, free, integer, number
+from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
+from trackers import TRACKERS
+from trackers.association import AssociationModel
+from trackers.compiled import kernel
+from trackers.contract import Tracker
+
+
+class Courses(NamedTuple):
+    """Where everybody starts and how the targets move.
+
+    Attributes:
+        platforms: [e, s, 4] start states m, m/s.
+        targets: [e, k + 1, m, 4] states m, m/s.
+        discs: [e, d, 3] no-go discs: centre x, y and radius [m].
+    """
+
+    platforms: Any
+    targets: Any
+    discs: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class BearingScenario(Scenario):
+    """Base of scenarios in which direction finders steer by turn rate and a tracker ranges targets from bearings."""
+
+    stations: ClassVar[int]
+    """Number of platforms; the last one is the reference."""
+    bearings: ClassVar[str] = "all"
+    """Whose bearings the filter uses after the first scan; a field where there is a choice."""
+    discs: ClassVar[int] = 0
+    """Number of no-go discs; a property where there is a choice."""
+    ordered: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("range_min_m", "range_max_m"),
+        ("target_speed_min_m_s", "target_speed_max_m_s"),
+    )
+    """Pairs of fields of which the first must not exceed the second."""
+
+    course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
+    targets: int = integer(1, 1, 6, "number of targets")
+    steps: int = integer(45, 1, 10_000, "decisions per episode")
+    step_s: float = number(2.0, 0.1, 60.0, "time between scans")
+    station_speed_m_s: float = number(250.0, 0.0, 1000.0, "speed of every station")
+    max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
+    bearing_std_deg: float = number(0.5, 1e-3, 10.0, "bearing noise")
+    tracker: Any = free("rp_ekf", f"{' or '.join(TRACKERS)}, or an object with the tracker contract")
+    hypotheses: int = integer(8, 1, 64, "range hypotheses per target of a bank")
+    range_floor_m: float = number(5e3, 100.0, 1e5, "nearest range the tracker looks for a target at first")
+    range_cap_m: float = number(2e5, 1e3, 1e7, "farthest")
+    process_noise_m_s: float = number(15.0, 0.0, 500.0, "the filter's q, velocity increment per step")
+    detection_probability: float = number(1.0, 0.01, 1.0, "of each bearing, after the first scan")
+    false_bearings_mean: float = number(0.0, 0.0, 10.0, "false bearings per station and scan, after the first scan")
+    standoff_m: float = number(0.0, 0.0, 1e5, "distance stations should keep from targets; 0 for none")
+    range_min_m: float = number(60e3, 1e3, 1e6, "nearest drawn start of a target from the reference")
+    range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
+    target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
+    target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
+    flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
+    flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
+    lost_error_m: float = number(5e3, 1.0, 1e6, "a track is lost if farther off than this …")
+    lost_nees: float = number(23.5, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 4 degrees)")
+    actions: str = choice("continuous", ("continuous", "discrete"), "Box turn rates, or 3 turn rates per station")
+    reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
+    reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
+    reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")
+    reward_maneuver: float = number(0.0, 0.0, 1e6, "weight")
+    reward_standoff: float = number(1.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
+    reward_nogo: float = number(1.0, 0.0, 1e6, "weight; counts only where there are no-go discs")
+    reward_lost_track: float = number(0.0, 0.0, 1e6, "weight")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in self.ordered:
+            if getattr(self, low) > getattr(self, high):
+                raise self._error(low, f"must not exceed {high} = {getattr(self, high)}")
+        if self.range_floor_m >= self.range_cap_m:
+            raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
+        if not isinstance(self.flights, (str, os.PathLike, type(None))):
+            raise self._error("flights", "must be the path of a file, or None")
+        self.make_tracker()
+
+    def _error(self, field: str, allowed: str) -> ValueError:
+        return ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: {allowed}")
+
+    # -- what each scenario draws ------------------------------------------------------------------------------------
+
+    @property
+    def course_uniforms(self) -> int:
+        """Uniform numbers per episode that `draw_courses` needs."""
+        raise NotImplementedError
+
+    def draw_courses(self, u: np.ndarray) -> Courses:
+        """Courses of episodes from uniforms [e, course_uniforms], row by row."""
+        raise NotImplementedError
+
+    @property
+    def bound_range_std_m(self) -> float:
+        """Radial standard deviation of the Cramér–Rao bound's prior at the first scan."""
+        raise NotImplementedError
+
+    # -- the parts the core asks for ---------------------------------------------------------------------------------
+
+    def make_tracker(self) -> Tracker:
+        """The tracker object; a name is made with this scenario's settings.
+
+        Raises:
+            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
+        """
+        if not isinstance(self.tracker, str):
+            return _checked_tracker(self.tracker)
+        if self.tracker not in TRACKERS:
+            raise self._error("tracker", f"must be one of {', '.join(map(repr, TRACKERS))}")
+        settings: dict[str, Any] = {"hypotheses": self.hypotheses} if self.tracker == "rp_ekf" else {}
+        model = AssociationModel(
+            detection_probability=self.detection_probability,
+            false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
+        )
+        return TRACKERS[self.tracker](
+            floor_m=self.range_floor_m,
+            cap_m=self.range_cap_m,
+            process_noise=self.process_noise_m_s,
+            reference_only=self.bearings == "reference",
+            model=model,
+            **settings,
+        )
+
+    def make_actions(self) -> Continuous | Discrete:
+        """Action codec, one turn rate per station."""
+        return Continuous(self.stations) if self.actions == "continuous" else Discrete(self.stations)
+
+    def make_observation(self) -> TrackObservation:
+        """Observation model."""
+        return TrackObservation(self.stations, self.targets, self.stations, self.steps, self.discs)
+
+    @cached_property
+    def reward_weights(self) -> dict[str, float]:
+        """Weights of the reward terms in use."""
+        weights = {name: getattr(self, f"reward_{name}") for name in TERMS}
+        if self.standoff_m == 0.0:
+            weights["standoff"] = 0.0
+        if self.discs == 0:
+            weights["nogo"] = 0.0
+        return {name: weight for name, weight in weights.items() if weight > 0.0}
+
+    def move(self, platforms, command):
+        """Platforms [e, s, 4] after one step of turn commands [e, s] in [−1, 1]."""
+        return turn(platforms, command * math.radians(self.max_turn_rate_deg_s), self.step_s)
+
+    def draw_tape(self, generators: Sequence[np.random.Generator]) -> Tape:
+        """Tapes of len(generators) episodes, row i from generator i."""
+        k, s, m = self.steps + 1, self.stations, self.targets
+        model = ReturnModel(k, s, m, self.detection_probability, self.false_bearings_mean)
+        course = self.course_uniforms
+        z, u = draw(generators, k * s * m, course + uniforms_needed(model))
+        courses = self.draw_courses(np.ascontiguousarray(u[:, :course]))
+        noise = z.reshape(-1, k, s, m)
+        return Tape(courses.platforms, courses.targets, noise, **returns(model, u[:, course:]), discs=courses.discs)
+
+    def check_flights(self) -> None:
+        """Load the recorded flights now, so that a bad file is found before anything else is done.
+
+        Raises:
+            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
+        """
+        if self.course == "flights":
+            self._flight_paths.window_starts(self.steps)
+
+    def fly_flights(self, start: np.ndarray, picks: np.ndarray) -> np.ndarray:
+        """Recorded windows chosen by uniforms [e, m] that begin at the starts [e, m, 4] on their courses.
+
+        Returns:
+            [e, k + 1, m, 4]; shape and speed of the recorded paths are unaltered.
+        """
+        windows = self._flight_paths.windows(picks, self.steps)
+        return instants_first(_place_flight(start, windows))
+
+    @cached_property
+    def _flight_paths(self) -> FlightPaths:
+        return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
+
+
+def instants_first(paths: np.ndarray) -> np.ndarray:
+    """Paths [..., m, k + 1, 4] as a tape holds them: [..., k + 1, m, 4]."""
+    return np.ascontiguousarray(np.swapaxes(paths, -2, -3))
+
+
+@kernel("(x),(k,y)->(k,x)")
+def _place_flight(start, window, path):
+    """Turn and shift a recorded window so that it begins at a start position on a start course."""
+    turn_by = math.atan2(start[3], start[2]) - math.atan2(window[0, 4], window[0, 3])
+    c, s = math.cos(turn_by), math.sin(turn_by)
+    for k in range(window.shape[0]):
+        dx, dy = window[k, 0] - window[0, 0], window[k, 1] - window[0, 1]
+        path[k, 0], path[k, 1] = start[0] + c * dx - s * dy, start[1] + s * dx + c * dy
+        path[k, 2], path[k, 3] = c * window[k, 3] - s * window[k, 4], s * window[k, 3] + c * window[k, 4]
+
+
+def _checked_tracker(tracker: Any) -> Tracker:
+    missing = [
+        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
+    ]
+    if missing:
+        raise TypeError(
+            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
+        )
+    return tracker
