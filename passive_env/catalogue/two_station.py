@@ -156,7 +156,7 @@ class TwoStation(Scenario):
         if self.tracker not in TRACKERS:
             raise ValueError(f"TwoStation.tracker = {self.tracker!r}: must be one of {', '.join(map(repr, TRACKERS))}")
         kind = TRACKERS[self.tracker]
-        settings: dict[str, Any] = {"hypotheses": self.hypotheses} if self.tracker == "rp_ekf" else {}
+        settings: dict[str, Any] = {} if self.tracker == "fused_ekf" else {"hypotheses": self.hypotheses}
         model = AssociationModel(
             detection_probability=self.detection_probability,
             false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
