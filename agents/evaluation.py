@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, chi2
 from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
@@ -26,7 +26,11 @@ BASELINES = ("paper", "rule", "rule_tuned")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3
-"""A track that is lost and farther off than this has collapsed."""
+COLLAPSE_NEES = float(chi2.ppf(0.9999, df=4))
+"""A track that ends farther off than the one, or with a NEES above the other, has collapsed."""
+
+NEES_BAND = tuple(float(edge) for edge in chi2.ppf([0.025, 0.975], df=4))
+"""Where 95 % of an honest tracker's NEES lie."""
 
 RESAMPLES = 2000
 
@@ -41,6 +45,7 @@ class Record:
         lost, collapsed: [e] share of tracks at the end.
         decision_time_us: wall time of a decision per step and episode, in batches.
         paths: the first episode's geometry.
+        nees: [e, m] normalised estimation error squared of every track at the end.
     """
 
     range_error_m: np.ndarray
@@ -49,6 +54,7 @@ class Record:
     collapsed: np.ndarray
     decision_time_us: float
     paths: EpisodePaths
+    nees: np.ndarray
 
     @property
     def final(self) -> np.ndarray:
@@ -112,12 +118,13 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     paths = EpisodePaths(
         np.array(stations), targets, np.array(estimates), world.estimate.cov[0, :, :2, :2], np.array(shares)
     )
-    collapsed = info["lost"] & (info["position_error_m"] > COLLAPSE_M)
+    collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > COLLAPSE_NEES)
     return {
         "range_error_m": np.array(errors).T,
         "range_crlb_m": np.array(bounds).T,
         "lost": info["lost"].mean(-1),
         "collapsed": collapsed.mean(-1),
+        "nees": info["nees"],
         "seconds": seconds,
         "paths": paths,
     }
@@ -157,6 +164,8 @@ def _figures(record: Record) -> dict[str, Any]:
         "mean_range_error_m": _statistics(record.mean),
         "lost_share": float(record.lost.mean()),
         "collapse_share": float(record.collapsed.mean()),
+        "final_nees": _statistics(record.nees),
+        "final_nees_in_band_share": float(((record.nees >= NEES_BAND[0]) & (record.nees <= NEES_BAND[1])).mean()),
         "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),
         "decision_time_us": record.decision_time_us,
     }

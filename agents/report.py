@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agents import pictures
-from agents.evaluation import Record, steps_axis
+from agents.evaluation import COLLAPSE_M, COLLAPSE_NEES, Record, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 
 METRICS = ("final_range_error_m", "mean_range_error_m")
@@ -62,20 +62,24 @@ def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
 def as_markdown(summary: Mapping[str, Any]) -> str:
     """The comparison as a table: errors in metres, ratios of means with 95 % intervals."""
     bases = list(summary["ratios"])
-    head = ["policy", "final mean", "median", "p95", "time average", "bound", "lost", "µs/decision"]
+    head = ["policy", "final mean", "median", "p95", "time average", "bound", "lost", "collapsed", "NEES"]
+    head += ["µs/decision"]
     head += [f"final / {base}" for base in bases]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, figures in summary["policies"].items():
         final, mean = figures["final_range_error_m"], figures["mean_range_error_m"]
         cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
         cells += [f"{figures['final_range_crlb_m']:.0f}", f"{100 * figures['lost_share']:.2f} %"]
+        cells += [f"{100 * figures['collapse_share']:.2f} %", f"{figures['final_nees']['mean']:.3g}"]
         cells += [f"{figures['decision_time_us']:.2f}"]
         cells += [_ratio_cell(summary["ratios"][base].get(name)) for base in bases]
         lines.append("| " + " | ".join(cells) + " |")
     note = (
         f"{summary['environment']}: range error in metres over {summary['episodes']} paired episodes from seed "
         f"{summary['seed']}, mean over targets. Bound: posterior Cramér–Rao bound at the end, mean. Ratios are of "
-        "means, with paired bootstrap 95 % intervals."
+        "means, with paired bootstrap 95 % intervals. Collapsed: ends more than "
+        f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {COLLAPSE_NEES:.1f}, its 99.99 % quantile. NEES: mean at "
+        "the end, 4 for an honest tracker and less for a cautious one."
     )
     return "\n".join([*lines, "", note])
 

@@ -4,11 +4,12 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 
 from agents import cli, evaluation
 from agents.evaluation import Record, fly, fly_all, ratio_of_means, steps_axis, summarize, unique_names
@@ -39,7 +40,7 @@ def record(range_error_m, lost=None) -> Record:
         np.full((instants, 1), 1e3),
     )
     share = np.zeros(episodes) if lost is None else np.array(lost, dtype=float)
-    return Record(errors, 0.5 * errors, share, 0.5 * share, 12.5, paths)
+    return Record(errors, 0.5 * errors, share, 0.5 * share, 12.5, paths, np.arange(1.0, episodes + 1.0)[:, None])
 
 
 # ------------------------------------------------------------------------------------------------ paired tapes
@@ -93,7 +94,7 @@ def test_cutting_episodes_into_blocks_changes_nothing(monkeypatch, name):
     whole = fly(scenario, make_policy(name, scenario), 11, 5)
     monkeypatch.setattr(evaluation, "BLOCK", 4)
     cut = fly(scenario, make_policy(name, scenario), 11, 5)
-    for field in ("range_error_m", "range_crlb_m", "lost", "collapsed"):
+    for field in ("range_error_m", "range_crlb_m", "lost", "collapsed", "nees"):
         assert np.array_equal(getattr(cut, field), getattr(whole, field)), field
     assert np.array_equal(cut.paths.stations, whole.paths.stations)
 
@@ -114,14 +115,21 @@ def test_no_episodes_is_an_error(episodes):
         fly(SHORT, make_policy("rule", SHORT), episodes, 0)
 
 
-def test_collapsed_tracks_are_lost_and_far_off():
-    """A scenario in which tracks get lost: the share is of tracks, and collapsed is part of lost."""
+def test_collapsed_tracks_end_far_off_or_beyond_their_nees_quantile():
+    """A scenario in which tracks get lost: shares of tracks, from the figures of the same episodes' last instant."""
     scenario = TwoStation(steps=20, hypotheses=1, process_noise_m_s=0.0, bearings="reference")
     flown = fly(scenario, make_policy("straight", scenario), 60, 0)
-    thirds = np.round(3.0 * flown.lost)
-    np.testing.assert_allclose(flown.lost, thirds / 3.0)
-    assert flown.lost.mean() > flown.collapsed.mean() > 0.0
-    assert np.all(flown.collapsed <= flown.lost)
+    env, policy = PassiveVectorEnv(scenario, num_envs=60), make_policy("straight", scenario)
+    observation, _ = env.reset(seed=0)
+    policy.reset(env.belief())
+    for _ in range(20):
+        observation, *_, info = env.step(policy.act(env.belief(), observation))
+    far, inconsistent = info["position_error_m"] > 15e3, info["nees"] > chi2.ppf(0.9999, df=4)
+    np.testing.assert_array_equal(flown.nees, info["nees"])
+    np.testing.assert_allclose(flown.collapsed, (far | inconsistent).mean(-1))
+    np.testing.assert_allclose(flown.lost, info["lost"].mean(-1))
+    for one, other in ((far, inconsistent), (inconsistent, far)):
+        assert (one & ~other).any()
 
 
 # ------------------------------------------------------------------------------------------------ statistics
@@ -164,6 +172,12 @@ def test_statistics_by_hand():
     assert mean["p95"] == pytest.approx(22.0 + 0.8 * 8.0)
     assert figures["lost_share"] == pytest.approx(0.3)
     assert figures["decision_time_us"] == 12.5
+    assert figures["collapse_share"] == pytest.approx(0.15)
+    # NEES 1 to 5 lie inside the 95 % band of χ² with 4 degrees, 0.484 to 11.14.
+    assert figures["final_nees"] == pytest.approx({"mean": 3.0, "median": 3.0, "rms": np.sqrt(11.0), "p95": 4.8})
+    assert figures["final_nees_in_band_share"] == 1.0
+    half = replace(record(base), nees=np.array([[0.4, 1.0], [11.0, 12.0]]))
+    assert summarize("e", 0, {"x": half})["policies"]["x"]["final_nees_in_band_share"] == pytest.approx(0.5)
     ratios = summary["ratios"]["paper"]["x"]
     assert ratios["final_range_error_m"]["ratio"] == pytest.approx(4.0 / 2.0)
     assert ratios["mean_range_error_m"]["ratio"] == pytest.approx(17.0 / 11.0)
@@ -246,7 +260,9 @@ def test_files_say_what_the_summary_says(tmp_path, two_records):
         figures = summary["policies"][row["policy"]]
         assert float(row["final_range_error_m_mean"]) == figures["final_range_error_m"]["mean"]
         assert float(row["mean_range_error_m_p95"]) == figures["mean_range_error_m"]["p95"]
-        assert float(row["lost_share"]) == figures["lost_share"]
+        for name in ("lost_share", "collapse_share", "final_nees_in_band_share"):
+            assert float(row[name]) == figures[name]
+        assert float(row["final_nees_mean"]) == figures["final_nees"]["mean"]
     ratio = summary["ratios"]["rule"]["random"]["final_range_error_m"]
     assert float(rows[2]["final_range_error_m_over_rule"]) == ratio["ratio"]
     assert [float(rows[2][f"final_range_error_m_over_rule_{end}"]) for end in ("low", "high")] == ratio["ci95"]
@@ -262,6 +278,7 @@ def test_markdown_table_has_a_row_for_every_policy(two_records):
     assert f"{summary['policies']['random']['final_range_error_m']['mean']:.0f}" in rows[2]
     assert f"{summary['ratios']['paper']['random']['final_range_error_m']['ratio']:.3f}" in rows[2]
     assert "4 paired episodes" in lines[-1]
+    assert f"{summary['policies']['random']['final_nees']['mean']:.3g}" in rows[2].split("|")[9]
     assert as_csv(summary).count("\n") == 4
 
 
@@ -363,7 +380,7 @@ def assert_refused(capsys, out: Path, status: int, *words):
         (["CartPole-v1"], ["unknown environment 'CartPole-v1'", "passive/TwoStation-v0"]),
         (["--policies", "rule", "rules"], ["unknown policy 'rules'", "rule_perpendicular", "run folder"]),
         (["--policies"], ["--policies"]),
-        (["--trackers", "rp_ekf", "kalman"], ["'kalman'", "'rp_ekf'", "'fused_ekf'"]),
+        (["--trackers", "rp_ekf", "kalman"], ["'kalman'", "'rp_ekf'", "'fused_ekf'", "'rp_ekf_adaptive'"]),
         (["--flights", "no/such/file.csv"], ["no/such/file.csv"]),
         (["--flights", "."], ["directory"]),
         (["--episodes", "0"], ["--episodes 0"]),

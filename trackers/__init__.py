@@ -1,5 +1,6 @@
 """Passive-sensor trackers: arrays in, arrays out; usable without any environment."""
 
+from trackers.adaptive_rp_ekf import AdaptiveRpEkf, ModelBank
 from trackers.contract import Scan, Tracker, Update
 from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
@@ -8,7 +9,18 @@ from trackers.rp_ekf import Bank, RpEkf
 DISTRIBUTION = "passive-env"
 """Tells this package from another distribution's of the same name."""
 
-TRACKERS: dict[str, type[RpEkf]] = {"rp_ekf": RpEkf, "fused_ekf": FusedEkf}
+TRACKERS: dict[str, type[RpEkf]] = {"rp_ekf": RpEkf, "fused_ekf": FusedEkf, "rp_ekf_adaptive": AdaptiveRpEkf}
 """Trackers an environment takes by name."""
 
-__all__ = ["TRACKERS", "Bank", "FusedEkf", "Gaussian", "RpEkf", "Scan", "Tracker", "Update"]
+__all__ = [
+    "TRACKERS",
+    "AdaptiveRpEkf",
+    "Bank",
+    "FusedEkf",
+    "Gaussian",
+    "ModelBank",
+    "RpEkf",
+    "Scan",
+    "Tracker",
+    "Update",
+]

@@ -17,7 +17,7 @@ from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
 from trackers.contract import Scan
 from trackers.linalg import LOG_TWO_PI
-from trackers.measurement import linearize, log_normal
+from trackers.measurement import curvature, linearize, log_normal
 
 PRUNED = -1.0e6
 """Log weight of a removed hypothesis: finite, and exp(PRUNED) is exactly 0."""
@@ -66,8 +66,10 @@ class Association(NamedTuple):
 
 
 @helper
-def innovations(x, P, lw, z, valid, stations, var, gate, nu, S, inside):
+def innovations(x, P, lw, z, valid, stations, var, second_order, gate, nu, S, inside):
     """Innovations of one track's hypotheses and the moments of their joint density.
+
+    With `second_order` each station's variance holds its bearing's curvature; the stations' cross-covariance does not.
 
     Fills nu [s, n, b]; S [6, n]: S_a, S_b, regression S_ab / S_a, conditional variance S_b|a, logs of S_a and S_b|a;
     inside [2, b]: returns in some gate.
@@ -82,6 +84,8 @@ def innovations(x, P, lw, z, valid, stations, var, gate, nu, S, inside):
             cross = a * f0 + b * f1
             f0, f1 = a * P[i, 0, 0] + b * P[i, 0, 1], a * P[i, 0, 1] + b * P[i, 1, 1]
             S[s, i] = a * f0 + b * f1 + var
+            if second_order:
+                S[s, i] += curvature(P[i], a, b)
             if s == 1:
                 S[2, i] = cross / S[0, i]
                 S[3, i] = S[1, i] - S[2, i] * cross
@@ -211,8 +215,8 @@ def walk_assignments(c_opt, k_opt, count, bound, collect, chosen, weight, sums, 
     return bound
 
 
-@kernel("(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),()->(m,s),(m,s),(m,s),()", "ffffbfffffifbf")
-def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, assignment, z_out, used, total):
+@kernel("(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),()->(m,s),(m,s),(m,s),()", "ffffbfffffbifbf")
+def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, second_order, assignment, z_out, used, total):
     n_tracks, n_hyp = lw.shape
     n_stations, n_slots = z.shape
     c_opt = np.empty((n_tracks, (n_slots + 1) ** n_stations))
@@ -222,7 +226,7 @@ def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, assignment, z
     rows = np.empty((c_opt.shape[1], n_hyp))
     inside = np.zeros((2, n_slots), dtype=np.bool_)
     for j in range(n_tracks):
-        innovations(x[j], P[j], lw[j], z, valid, stations, std * std, gate, nu, S, inside)
+        innovations(x[j], P[j], lw[j], z, valid, stations, std * std, second_order, gate, nu, S, inside)
         count[j] = list_options(lw[j], nu, S, inside, n_stations == 2, hit, miss, c_opt[j], k_opt[j], rows)
     best = np.zeros(n_tracks, dtype=np.int64)
     sums, marks = np.empty((2, n_tracks + 1)), np.empty((3, n_tracks + n_slots + 1), dtype=np.int64)
@@ -235,7 +239,9 @@ def _associate(x, P, lw, z, valid, stations, std, gate, miss, hit, assignment, z
             z_out[j, s] = z[s, k] if k >= 0 else 0.0
 
 
-def associate(mean, cov, log_weights, scan: Scan, model: AssociationModel = AssociationModel()):
+def associate(
+    mean, cov, log_weights, scan: Scan, model: AssociationModel = AssociationModel(), second_order: bool = False
+):
     """Assign a scan's unlabelled bearings to tracks: exact minimum of the summed negative log-likelihood.
 
     Each bearing serves at most one track, each track takes at most one bearing per station; missed and extra bearings
@@ -246,6 +252,7 @@ def associate(mean, cov, log_weights, scan: Scan, model: AssociationModel = Asso
             (`PRUNED` marks removed ones).
         scan: one or two stations (s), b slots.
         model: gates, detection probability, clutter density.
+        second_order: whether a bearing's curvature adds to its innovation variance.
     Returns:
         Association.
     Raises:
@@ -258,6 +265,6 @@ def associate(mean, cov, log_weights, scan: Scan, model: AssociationModel = Asso
     miss, hit = model.log_costs()
     assignment, bearings, used, cost = _associate(
         mean, cov, log_weights, scan.bearings, scan.valid, scan.stations, scan.bearing_std,
-        model.gate_sigma, miss, hit,
+        model.gate_sigma, miss, hit, second_order,
     )  # fmt: skip
     return Association(assignment, bearings, used, cost)

@@ -72,10 +72,11 @@ class FusedEkf(RpEkf):
         """Give each track its bearings of the one best joint assignment, then condition on them."""
         if self.reference_only:
             scan = scan.reference_only()
-        found = associate(*state, scan, self.model)
+        found = associate(*state, scan, self.model, self.second_order)
         posterior, nu, S, log_likelihood = update(
-            state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below
-        )
+            state, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below,
+            self.second_order,
+        )  # fmt: skip
         return Update(posterior, nu, S, log_likelihood, found.assignment)
 
     def _fix(self, theta, alpha, station, reference, paired, std) -> Gaussian:

@@ -7,6 +7,14 @@ import math
 from trackers.association import NEGLIGIBLE, PRUNED
 from trackers.compiled import helper
 
+KEEP_ALL = -1e9
+"""A log threshold that removes nothing."""
+
+
+def log_threshold(prune_below: float) -> float:
+    """Log of the weight below which hypotheses are removed; 0 keeps all."""
+    return math.log(prune_below) if prune_below > 0.0 else KEEP_ALL
+
 
 @helper
 def reweight(log_w, log_prune):

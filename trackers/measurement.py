@@ -65,13 +65,28 @@ def linearize(x, y, sx, sy):
 
 
 @helper
-def update_into(x, P, z, sx, sy, var, x_out, P_out):
+def curvature(P, a, b):
+    """½ tr(H_xx P H_xx P) [rad²], the variance a bearing's curvature adds, for slopes a, b and P [4, 4].
+
+    The Hessian is H_xx = [[−2ab, a² − b²], [a² − b², 2ab]] in x and y, zero in velocity. In the frame of the line of
+    sight the figure is (σ_r² σ_c² + σ_rc²) / r⁴: it counts where range is poorly known compared with itself.
+    """
+    c, d = 2.0 * a * b, a * a - b * b
+    m00, m01 = d * P[0, 1] - c * P[0, 0], d * P[1, 1] - c * P[0, 1]
+    m10, m11 = d * P[0, 0] + c * P[0, 1], d * P[0, 1] + c * P[1, 1]
+    return 0.5 * (m00 * m00 + 2.0 * m01 * m10 + m11 * m11)
+
+
+@helper
+def update_into(x, P, z, sx, sy, var, second_order, x_out, P_out):
     """EKF update of x [4], P [4, 4] with one bearing, Joseph form, written to x_out, P_out; returns ν, S.
 
-    The output may be the input itself.
+    `second_order`: whether the bearing's curvature adds to its variance. The output may be the input itself.
     """
     h, a, b = linearize(x[0], x[1], sx, sy)
     nu = wrap_scalar(z - h)
+    if second_order:
+        var += curvature(P, a, b)
     return nu, condition_into(x, P, nu, a, b, var, x_out, P_out)
 
 
@@ -113,29 +128,35 @@ def log_normal(nu, S):
     return -0.5 * (LOG_TWO_PI + math.log(S) + nu * nu / S)
 
 
-@kernel("(x),(x,x),(),(p),()->(x),(x,x),(),(),()")
-def _update(x, P, z, station, std, x_out, P_out, nu_out, S_out, ll_out):
-    nu, S = update_into(x, P, z, station[0], station[1], std * std, x_out, P_out)
+@kernel("(x),(x,x),(),(p),(),()->(x),(x,x),(),(),()", "fffffbfffff")
+def _update(x, P, z, station, std, second_order, x_out, P_out, nu_out, S_out, ll_out):
+    nu, S = update_into(x, P, z, station[0], station[1], std * std, second_order, x_out, P_out)
     nu_out[0] = nu
     S_out[0] = S
     ll_out[0] = log_normal(nu, S)
 
 
-def update(prior: Gaussian, bearing, station, bearing_std) -> BearingUpdate:
-    """Condition a track on one bearing (first-order EKF, Joseph form).
+def update(prior: Gaussian, bearing, station, bearing_std, second_order: bool = False) -> BearingUpdate:
+    """Condition a track on one bearing (EKF, Joseph form).
 
         ν = wrap(z − h(x))    S = H P Hᵀ + σ²    K = P Hᵀ / S
+
+    With `second_order` S also holds ½ tr(H_xx P H_xx P), the variance of the bearing's curvature under the prior:
+    close to a target whose range is poorly known a bearing says less than its slope promises.
 
     Args:
         prior: mean [..., 4] x, y [m], vx, vy [m/s], east-north; cov [..., 4, 4].
         bearing: [...] rad, counter-clockwise from east.
         station: [..., 2] position [m].
         bearing_std: [...] rad.
+        second_order: whether S holds the variance of the curvature.
     Returns:
         BearingUpdate: posterior, innovation, its variance, log-likelihood.
     Raises:
         ValueError: if the trailing axes do not fit.
-    Source: Xiu et al. (2002), eqs 28, 31–36 with an absolute state; atan2 for tan⁻¹.
+    Source: Xiu et al. (2002), eqs 28, 31–36 with an absolute state; atan2 for tan⁻¹. Second order: Bar-Shalom, Li and
+        Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section 10.3.2, without its
+        correction of the predicted bearing, which is a wash here.
     """
-    mean, cov, nu, S, log_likelihood = _update(prior.mean, prior.cov, bearing, station, bearing_std)
+    mean, cov, nu, S, log_likelihood = _update(prior.mean, prior.cov, bearing, station, bearing_std, second_order)
     return BearingUpdate(Gaussian(mean, cov), nu, S, log_likelihood)

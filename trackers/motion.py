@@ -12,6 +12,8 @@ equivalent to the absolute state used here.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from trackers.compiled import helper, kernel
@@ -54,6 +56,43 @@ def predict_in_place(x, P, T, q):
     P[3, 3] = vyy + q2
     P[1, 0], P[2, 0], P[3, 0] = P[0, 1], P[0, 2], P[0, 3]
     P[2, 1], P[3, 1], P[3, 2] = P[1, 2], P[1, 3], P[2, 3]
+
+
+@helper
+def _rotate_velocity(x, P, angle):
+    """Turn the velocity of x [4] and P [4, 4] by an angle [rad], in place."""
+    c, s = math.cos(angle), math.sin(angle)
+    x[2], x[3] = c * x[2] - s * x[3], s * x[2] + c * x[3]
+    for i in range(2):
+        P[i, 2], P[i, 3] = c * P[i, 2] - s * P[i, 3], s * P[i, 2] + c * P[i, 3]
+        P[2, i], P[3, i] = P[i, 2], P[i, 3]
+    vxx, vxy, vyy = P[2, 2], P[2, 3], P[3, 3]
+    P[2, 2] = c * c * vxx - 2.0 * c * s * vxy + s * s * vyy
+    P[3, 3] = s * s * vxx + 2.0 * c * s * vxy + c * c * vyy
+    P[2, 3] = P[3, 2] = c * s * (vxx - vyy) + (c * c - s * s) * vxy
+
+
+@helper
+def turn_in_place(x, P, T, rate, q):
+    """One prediction of x [4] and P [4, 4] at a known turn rate ω [rad/s], in place; noise as in the module's model.
+
+    The target moves along the arc's chord, vT sin(ωT/2) / (ωT/2) at ωT/2 off its course, and turns by ωT: half the
+    turn, a straight step of the chord's length, the other half.
+    Source: Bar-Shalom, Li and Kirubarajan (2001), section 11.7.1.
+    """
+    half = 0.5 * rate * T
+    if half == 0.0:
+        predict_in_place(x, P, T, q)
+        return
+    _rotate_velocity(x, P, half)
+    predict_in_place(x, P, T * math.sin(half) / half, 0.0)
+    _rotate_velocity(x, P, half)
+    q2 = q * q
+    for i in range(2):
+        P[i, i] += 0.25 * T * T * q2
+        P[i, i + 2] += 0.5 * T * q2
+        P[i + 2, i] = P[i, i + 2]
+        P[i + 2, i + 2] += q2
 
 
 @kernel("(x),(x,x),(),()->(x),(x,x)")

@@ -17,7 +17,7 @@ from trackers.association import PRUNED, AssociationModel
 from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
-from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
+from trackers.hypotheses import clear_hypothesis, copy_hypothesis, log_threshold, reweight
 from trackers.measurement import log_normal, update_into
 from trackers.motion import predict_in_place
 from trackers.soft_association import branch_and_update
@@ -149,8 +149,8 @@ def predict(bank: Bank, step_s, velocity_std) -> Bank:
     return Bank(mean, cov, bank.log_weights)
 
 
-@kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffffffff")
-def _update(x, P, lw, z, used, stations, std, log_prune, x_out, P_out, lw_out, nu_out, S_out, evidence):
+@kernel("(n,x),(n,x,x),(n),(s),(s),(s,p),(),(),()->(n,x),(n,x,x),(n),(s),(s),()", "ffffbfffbffffff")
+def _update(x, P, lw, z, used, stations, std, log_prune, second_order, x_out, P_out, lw_out, nu_out, S_out, evidence):
     n, n_stations = lw.shape[0], z.shape[0]
     var = std * std
     nu_out[:] = 0.0
@@ -165,7 +165,9 @@ def _update(x, P, lw, z, used, stations, std, log_prune, x_out, P_out, lw_out, n
         for i in range(n):
             if lw[i] <= PRUNED:
                 continue
-            nu, S = update_into(x_prior[i], P_prior[i], z[s], stations[s, 0], stations[s, 1], var, x_out[i], P_out[i])
+            nu, S = update_into(
+                x_prior[i], P_prior[i], z[s], stations[s, 0], stations[s, 1], var, second_order, x_out[i], P_out[i]
+            )
             lw_out[i] += log_normal(nu, S)
             w = 1.0 if lw[i] == 0.0 else math.exp(lw[i])
             nu_out[s] += w * nu
@@ -180,7 +182,9 @@ def _update(x, P, lw, z, used, stations, std, log_prune, x_out, P_out, lw_out, n
     evidence[0] = reweight(lw_out, log_prune) if any_used else 0.0
 
 
-def update(bank: Bank, bearings, used, stations, bearing_std, prune_below=1e-3) -> BankUpdate:
+def update(
+    bank: Bank, bearings, used, stations, bearing_std, prune_below=1e-3, second_order: bool = False
+) -> BankUpdate:
     """Condition every hypothesis on the bearings of one or several stations, then reweight and prune.
 
         w_i(k) ∝ w_i(k−1) |2πS_i|^{−1/2} exp(−ν_i² / 2S_i)
@@ -192,11 +196,12 @@ def update(bank: Bank, bearings, used, stations, bearing_std, prune_below=1e-3) 
         bearings: [..., s] rad; used: [..., s] bool (False: missed, no effect).
         stations: [..., s, 2] m.
         bearing_std: [...] rad.
-        prune_below: weight below which a hypothesis is removed for good; the best one always stays.
+        prune_below: weight below which a hypothesis is removed for good, 0 for none; the best one always stays.
+        second_order: whether a bearing's curvature adds to its innovation variance (`measurement.update`).
     Source: Xiu et al. (2002), eqs 22–23, 28, 31–36. Deviations: logs, renormalisation after pruning, absolute state.
     """
     mean, cov, log_weights, nu, S, evidence = _update(
-        *bank, bearings, used, stations, bearing_std, math.log(prune_below)
+        *bank, bearings, used, stations, bearing_std, log_threshold(prune_below), second_order
     )
     return BankUpdate(Bank(mean, cov, log_weights), nu, S, evidence)
 
@@ -244,7 +249,11 @@ class RpEkf:
         floor_m, cap_m: nearest and farthest range a target is looked for.
         velocity_std: initial velocity standard deviation per axis [m/s].
         process_noise: q [m/s per step].
-        prune_below: weight at which a hypothesis is removed.
+        prune_below: weight at which a hypothesis is removed; 0 keeps all.
+        merge_below: squared Mahalanobis distance at which two hypotheses become one. A bank that merges late stays
+            fine-grained in range, which matters when few bearings have to tell ranges apart.
+        second_order: whether a bearing's curvature adds to its innovation variance. A track that is passed closely
+            while its range is poorly known then stays honest.
         reference_only: use the reference station's bearings only after initiation, as in the paper.
         model: gates and detection model of the association.
     """
@@ -255,28 +264,43 @@ class RpEkf:
     velocity_std: float = 200.0
     process_noise: float = 15.0
     prune_below: float = 1e-4
+    merge_below: float = 4.0
+    second_order: bool = False
     reference_only: bool = False
     model: AssociationModel = AssociationModel()
+
+    def __post_init__(self) -> None:
+        for field, good, allowed in (
+            ("hypotheses", self.hypotheses >= 1, "at least 1"),
+            ("floor_m", 0.0 < self.floor_m < math.inf, "positive"),
+            ("cap_m", self.floor_m < self.cap_m < math.inf, f"above floor_m = {self.floor_m}"),
+            ("velocity_std", 0.0 < self.velocity_std < math.inf, "positive"),
+            ("process_noise", 0.0 <= self.process_noise < math.inf, "at least 0"),
+            ("prune_below", 0.0 <= self.prune_below < 1.0, "in [0, 1)"),
+            ("merge_below", 0.0 <= self.merge_below < math.inf, "at least 0"),
+        ):
+            if not good:
+                raise ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: must be {allowed}")
 
     def initiate(self, scan: Scan) -> BranchedBank:
         """One bank per reference bearing, over the range interval of its forward crossings.
 
-        A single station's bearings cross nothing: its banks cover the whole interval from floor to cap.
+        A single station has no crossings: its banks start over the whole [floor_m, cap_m].
         """
         alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
-        if scan.stations.shape[-2] == 1:
-            whole = RangeInterval(np.full(alpha.shape, self.floor_m), np.full(alpha.shape, self.cap_m))
-            bank = initiate(alpha, reference, scan.bearing_std, whole, self.hypotheses, 0.0, self.velocity_std)
-            return BranchedBank(*bank, bank.log_weights)
+        interval = self._crossings(scan) if scan.stations.shape[-2] > 1 else RangeInterval(self.floor_m, self.cap_m)
+        bank = initiate(alpha, reference, scan.bearing_std, interval, self.hypotheses, 0.0, self.velocity_std)
+        return BranchedBank(*bank, bank.log_weights)
+
+    def _crossings(self, scan: Scan) -> RangeInterval:
+        alpha, reference = scan.bearings[..., -1, :], scan.stations[..., None, -1, :]
         others, station = scan.bearings[..., None, 0, :], scan.stations[..., None, 0, :]
         spread = 3.0 * math.sqrt(2.0) * scan.bearing_std
         valid = admissible_crossings(
             alpha, scan.valid[..., -1, :], scan.stations[..., -1, :], scan.bearings[..., 0, :], scan.valid[..., 0, :],
             scan.stations[..., 0, :], spread, self.floor_m, self.cap_m,
         )  # fmt: skip
-        interval = forward_interval(alpha, reference, others, valid, station, spread, self.floor_m, self.cap_m)
-        bank = initiate(alpha, reference, scan.bearing_std, interval, self.hypotheses, 0.0, self.velocity_std)
-        return BranchedBank(*bank, bank.log_weights)
+        return forward_interval(alpha, reference, others, valid, station, spread, self.floor_m, self.cap_m)
 
     def predict(self, state: BranchedBank, step_s) -> BranchedBank:
         """Propagate all hypotheses by one step."""
@@ -288,7 +312,14 @@ class RpEkf:
         if self.reference_only:
             scan = scan.reference_only()
         *bank, nu, S, assignment, log_likelihood = branch_and_update(
-            state.mean, state.cov, state.own_log_weights, scan, self.model, self.prune_below
+            state.mean,
+            state.cov,
+            state.own_log_weights,
+            scan,
+            self.model,
+            self.prune_below,
+            self.merge_below,
+            self.second_order,
         )
         return Update(BranchedBank(*bank), nu, S, log_likelihood, assignment)
 

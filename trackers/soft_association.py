@@ -23,9 +23,9 @@ import numpy as np
 
 from trackers.association import PRUNED, innovations, list_options, walk_assignments
 from trackers.compiled import helper, kernel
-from trackers.hypotheses import clear_hypothesis, copy_hypothesis, reweight
+from trackers.hypotheses import KEEP_ALL, clear_hypothesis, copy_hypothesis, log_threshold, reweight
 from trackers.linalg import cholesky_4, mahalanobis_4
-from trackers.measurement import condition_into, slope, update_into
+from trackers.measurement import condition_into, curvature, slope, update_into
 
 SLACK = 9.0
 """Joint assignments this many nepers above the best one still count (e⁻⁹ ≈ 1e-4)."""
@@ -33,8 +33,8 @@ SLACK = 9.0
 ROOM = 2
 """Branches weighed per place of the bank: near-duplicates merge before the lightest are dropped."""
 
-MERGE = 4.0
-"""Squared Mahalanobis distance below which two branches are one."""
+MAX_EXPONENT = 700.0
+"""Weights further apart than this many nepers would overflow; the lighter share is 0 long before."""
 
 
 @helper
@@ -72,7 +72,7 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
 
 
 @helper
-def _update_branches(x, P, nu, z, stations, var, k_opt, kept, parent, option, x_out, P_out):
+def _update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, parent, option, x_out, P_out):
     """Condition each kept branch's parent on the branch's returns; `nu` [s, n, b] holds the parents' innovations."""
     for i in range(kept):
         x_prior, P_prior = x[parent[i]], P[parent[i]]
@@ -83,9 +83,12 @@ def _update_branches(x, P, nu, z, stations, var, k_opt, kept, parent, option, x_
                 continue
             if fresh:
                 a, b = slope(x_prior[0], x_prior[1], stations[s, 0], stations[s, 1])
-                condition_into(x_prior, P_prior, nu[s, parent[i], k], a, b, var, x_out[i], P_out[i])
+                noise = var + curvature(P_prior, a, b) if second_order else var
+                condition_into(x_prior, P_prior, nu[s, parent[i], k], a, b, noise, x_out[i], P_out[i])
             else:
-                update_into(x_prior, P_prior, z[s, k], stations[s, 0], stations[s, 1], var, x_out[i], P_out[i])
+                update_into(
+                    x_prior, P_prior, z[s, k], stations[s, 0], stations[s, 1], var, second_order, x_out[i], P_out[i]
+                )
             x_prior, P_prior = x_out[i], P_out[i]
             fresh = False
         if fresh:
@@ -93,8 +96,11 @@ def _update_branches(x, P, nu, z, stations, var, k_opt, kept, parent, option, x_
 
 
 @helper
-def _merge(x, P, lw, own, delta):
-    """Merge branches of one track that lie within `MERGE` of a heavier one (moments are preserved)."""
+def _merge(x, P, lw, own, merge_below, delta):
+    """Merge branches of one track that lie within `merge_below`, a squared Mahalanobis distance, of a heavier one.
+
+    Moments are preserved.
+    """
     n, d = lw.shape[0], x.shape[1]
     for i in range(n):
         if lw[i] <= PRUNED:
@@ -107,15 +113,15 @@ def _merge(x, P, lw, own, delta):
             near = True
             for r in range(d):
                 delta[r] = x[k, r] - x[i, r]
-                near &= delta[r] * delta[r] <= MERGE * P[i, r, r]
+                near &= delta[r] * delta[r] <= merge_below * P[i, r, r]
             if not near:
                 continue
             if not factored:
                 L = cholesky_4(P[i])
                 factored = True
-            if mahalanobis_4(L, delta) > MERGE:
+            if mahalanobis_4(L, delta) > merge_below:
                 continue
-            a = 1.0 / (1.0 + math.exp(lw[i] - lw[k]))  # share of the lighter one
+            a = 1.0 / (1.0 + math.exp(min(lw[i] - lw[k], MAX_EXPONENT)))  # share of the lighter one
             for r in range(d):
                 for c in range(d):
                     P[i, r, c] = (1.0 - a) * P[i, r, c] + a * P[k, r, c] + a * (1.0 - a) * delta[r] * delta[c]
@@ -187,11 +193,11 @@ def _scratch(shape: tuple[int, ...], stations: int, slots: int):
 
 
 @kernel(
-    "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b),(c,x),(c,x,x)"
+    "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b),(c,x),(c,x,x)"
     "->(m,n,x),(m,n,x,x),(m,n),(m,n),(m,s),(m,s),(m,s),(m)",
-    "ffffbfffffffifffibffffffffif",
+    "ffffbfffffffbfifffibffffffffif",
 )
-def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune,
+def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune, merge_below, second_order,
                        options, k_opt, nu, S, line, marks, inside, x_branch, P_branch,
                        x_out, P_out, lw_out, own_out, nu_out, S_out, assignment, evidence):  # fmt: skip
     """Inputs from `options` to `P_branch` are scratch (`_scratch`), shared by all items of a call."""
@@ -203,7 +209,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
     weight, own, delta = line[2, :room], line[3, :room], line[4, :4]
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
     for j in range(n_tracks):
-        innovations(x[j], P[j], lw[j], z, valid, stations, var, gate, nu[j], S[j], inside)
+        innovations(x[j], P[j], lw[j], z, valid, stations, var, second_order, gate, nu[j], S[j], inside)
         count[j] = list_options(lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j])
     cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
     clear = True
@@ -224,7 +230,9 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
             weight, own, parent, option,
         )  # fmt: skip
-        _update_branches(x[j], P[j], nu[j], z, stations, var, k_opt[j], kept, parent, option, x_branch, P_branch)
+        _update_branches(
+            x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_branch, P_branch
+        )
         lw_kept, own_kept = weight[:kept], own[:kept]
         if kept == 1:  # nothing to weigh
             lw_kept[0] = own_kept[0] = 0.0
@@ -233,15 +241,15 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             for i in range(kept):
                 if lw_kept[i] <= PRUNED:
                     own_kept[i] = PRUNED
-            _merge(x_branch, P_branch, lw_kept, own_kept, delta)
+            _merge(x_branch, P_branch, lw_kept, own_kept, merge_below, delta)
         dropped = _keep_heaviest(x_branch, P_branch, lw_kept, own_kept, x_out[j], P_out[j], lw_out[j], own_out[j])
         if kept > 1:
-            reweight(own_out[j], -1e9)
+            reweight(own_out[j], KEEP_ALL)
         if dropped:
             reweight(lw_out[j], log_prune)
 
 
-def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
+def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below, merge_below=4.0, second_order=False):
     """Branch a batch of banks over a scan's returns and condition every branch on its bearings.
 
     Args:
@@ -249,7 +257,9 @@ def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
             tracks.
         scan: one or two stations; see `trackers.contract.Scan`.
         model: `trackers.association.AssociationModel`.
-        prune_below: weight below which a branch is removed; the best one always stays.
+        prune_below: weight below which a branch is removed, 0 for none; the best one always stays.
+        merge_below: squared Mahalanobis distance below which two branches are one.
+        second_order: whether a bearing's curvature adds to its innovation variance (`measurement.update`).
     Returns:
         mean, cov, log weights and own log weights of the posterior banks; innovation, its variance and slot of the
         best joint assignment [..., m, s]; log-likelihood ratio [..., m].
@@ -261,6 +271,6 @@ def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below):
     miss, hit = model.log_costs()
     return _branch_and_update(
         mean, cov, own_log_weights, scan.bearings, scan.valid, scan.stations, scan.bearing_std,
-        model.gate_sigma, miss, hit, math.log(prune_below),
+        model.gate_sigma, miss, hit, log_threshold(prune_below), merge_below, second_order,
         *_scratch(mean.shape, *scan.bearings.shape[-2:]),
     )  # fmt: skip

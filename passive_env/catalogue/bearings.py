@@ -134,7 +134,7 @@ class BearingScenario(Scenario):
             return _checked_tracker(self.tracker)
         if self.tracker not in TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, TRACKERS))}")
-        settings: dict[str, Any] = {"hypotheses": self.hypotheses} if self.tracker == "rp_ekf" else {}
+        settings: dict[str, Any] = {} if self.tracker == "fused_ekf" else {"hypotheses": self.hypotheses}
         model = AssociationModel(
             detection_probability=self.detection_probability,
             false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
