@@ -16,14 +16,14 @@ from scipy.stats import bootstrap
 from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
-from agents.policy import Policy
+from agents.policy import Policy, sees_world
 from passive_env.core import World
 from passive_env.vector_env import PassiveVectorEnv
 
 BLOCK = 1024
 """Episodes flown at once."""
 
-BASELINES = ("paper", "rule", "rule_tuned")
+BASELINES = ("paper", "rule", "rule_tuned", "rule_average", "greedy", "planner")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3
@@ -128,7 +128,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
 
 def _show(policy: Policy, world: World) -> None:
     """Let an oracle look at the world; no policy has a way to ask for it."""
-    if getattr(policy, "needs_world", False):
+    if sees_world(policy):
         seer: Any = policy
         seer.see(world)
 

@@ -214,18 +214,17 @@ class Prediction:
         """
         model = self._model(start.platforms.shape[1])
         blocks = Blocks(len(controls))
-        parts = [[part[at] for at in blocks.slices] for part in (*start, controls, ends)]
-        return np.concatenate(blocks.map(lambda *block: _costs(Situation(*block[:5]), *block[5:], model), *parts))
+
+        def run(rows: slice) -> np.ndarray:
+            begin = [part[rows, None] for part in start]
+            return _plan_cost(*begin, controls[rows], ends[rows], model)
+
+        return np.concatenate(blocks.map(run, blocks.slices))
 
     def _model(self, stations: int) -> np.ndarray:
         """Numbers the kernel reads, in its order."""
         T, limit, q, var, *rest = self._settings
         return np.array([T, limit, q, var, stations - 1 if self._reference_only else 0, *rest])
-
-
-def _costs(start: Situation, controls: Any, ends: Any, model: np.ndarray) -> np.ndarray:
-    begin = [part[:, None] for part in start]
-    return _plan_cost(*begin, controls, ends, model)
 
 
 def towards(headings: np.ndarray, platforms: np.ndarray, turn_per_step: float) -> np.ndarray:
