@@ -100,12 +100,11 @@ class Planner:
         self._steps_left = np.array(belief.steps_left)
         return towards(self._heading(), belief.platforms, self.prediction.turn_per_step)
 
-    def plan(self, start: Situation, mean: np.ndarray, known: Plan) -> tuple[Plan, np.ndarray]:
+    def plan(self, start: Situation, known: Plan) -> tuple[Plan, np.ndarray]:
         """The best plan found and its cost [e].
 
         Args:
             start: where it begins.
-            mean: [e, m, 4] track means, for the greedy candidates' line of sight.
             known: [e, p, …] plans to begin with.
         """
         best, cost = self._choose(start, known)
@@ -133,7 +132,11 @@ class Planner:
         return Plan(plans.controls[rows, choice], plans.ends[rows, choice]), costs[rows, choice]
 
     def known_plans(self, start: Situation, mean: np.ndarray, previous: Plan) -> Plan:
-        """Plans [e, 3, …] to begin with: the previous one, the heading best to its end, the greedy policy's heading."""
+        """Plans [e, 3, …] to begin with: the previous one, the heading best to the end, the greedy policy's heading.
+
+        Args:
+            start: where they begin; mean: [e, m, 4] track means, for the line of sight; previous: [e, …].
+        """
         near = start._replace(steps=np.minimum(start.steps, self._greedy.horizon))
         held = np.stack([self._greedy.best(start, mean), self._greedy.best(near, mean)], axis=1)
         controls = np.concatenate(
@@ -152,7 +155,7 @@ class Planner:
         controls = np.where(begun[:, None, None], heading[:, None], self._plan.controls)
         start, mean = self._situation(belief).rows(due), belief.mean[due]
         known = self.known_plans(start, mean, Plan(controls[due], self._plan.ends[due]))
-        best, _ = self.plan(start, mean, known)
+        best, _ = self.plan(start, known)
         ends = self._plan.ends.copy()
         controls[due], ends[due], self._age[due] = best.controls, best.ends, 0
         self._plan = Plan(controls, ends)

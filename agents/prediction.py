@@ -217,7 +217,8 @@ class Prediction:
 
         def run(rows: slice) -> np.ndarray:
             begin = [part[rows, None] for part in start]
-            return _plan_cost(*begin, controls[rows], ends[rows], model)
+            with np.errstate(all="ignore"):  # a diverged track costs `WORST`
+                return _plan_cost(*begin, controls[rows], ends[rows], model)
 
         return np.concatenate(blocks.map(run, blocks.slices))
 
