@@ -49,8 +49,9 @@ class Evaluate:
 
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
-    policies: tuple[str, ...] = ("paper", "paper_opposed", "straight", "random", "rule", "rule_perpendicular")
-    """Policy names and run folders made by train."""
+    policies: tuple[str, ...] | None = None
+    """Policy names (see `passive-env list`) and run folders made by train; default all the environment offers, except
+    the oracle, which looks at the truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
@@ -141,12 +142,12 @@ def _benchmark(c: Benchmark) -> None:
 def _list(c: List) -> None:
     from agents.learned import ALGORITHMS
     from agents.policy import policy_names
-    from passive_env.catalogue import environment_ids
+    from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
     from trackers import TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
-        ("policies", policy_names()),
+        *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
         ("trackers", list(TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):

@@ -16,13 +16,14 @@ from scipy.stats import bootstrap, chi2
 from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
-from agents.policy import Policy
+from agents.policy import Policy, sees_world
+from passive_env.core import World
 from passive_env.vector_env import PassiveVectorEnv
 
 BLOCK = 1024
 """Episodes flown at once."""
 
-BASELINES = ("paper", "rule", "rule_tuned")
+BASELINES = ("paper", "rule", "rule_tuned", "rule_average", "greedy", "planner")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3
@@ -99,6 +100,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     stations, estimates = [world.platforms[0, :, :2]], [world.estimate.mean[0, :, :2]]
     shares = [info["range_error_m"][0]]
     belief, seconds = env.belief(), 0.0
+    _show(policy, world)
     policy.reset(belief)
     encode = env.simulation.actions.encode
     for _ in range(scenario.steps):
@@ -107,6 +109,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         seconds += time.perf_counter() - start
         observation, _, _, _, info = env.step(encode(commands))
         belief, world = env.belief(), env.world
+        _show(policy, world)
         errors.append(info["range_error_m"].mean(-1))
         bounds.append(info["range_crlb_m"].mean(-1))
         stations.append(world.platforms[0, :, :2])
@@ -128,6 +131,13 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         "seconds": seconds,
         "paths": paths,
     }
+
+
+def _show(policy: Policy, world: World) -> None:
+    """Let an oracle look at the world; no policy has a way to ask for it."""
+    if sees_world(policy):
+        seer: Any = policy
+        seer.see(world)
 
 
 def fly_all(

@@ -82,10 +82,11 @@ def _paper_opposed(scenario: Any, seed: int) -> Policy:
     return Schedule(scenario, NATURAL.station_turn_s, (1, -1))
 
 
-FIXED = {
-    "paper": _paper,
-    "paper_opposed": _paper_opposed,
+PAPER = {"paper": _paper, "paper_opposed": _paper_opposed}
+"""Makers (scenario, seed) of the two-station paper's schedules."""
+
+STEADY = {
     "straight": lambda scenario, seed: Straight(),
     "random": lambda scenario, seed: Random(seed),
 }
-"""Makers (scenario, seed) of the policies of this file."""
+"""Makers (scenario, seed) of what any scenario can fly."""

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch.nn import functional
 
-from agents.policy import make_policy
+from agents.policy import make_policy, sees_world
 from passive_env.vector_env import PassiveVectorEnv
 
 BATCH = 2048
@@ -65,6 +65,8 @@ def _demonstrations(scenario: Any, teacher: str, episodes: int, noise: float, se
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, _ = env.reset(seed=seed)
     policy = make_policy(teacher, scenario, seed)
+    if sees_world(policy):
+        raise ValueError(f"teacher {teacher!r} looks at the truth: imitate one that decides from the belief")
     policy.reset(env.belief())
     rng = np.random.default_rng(seed)
     observations, commands = [], []

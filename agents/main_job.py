@@ -34,21 +34,24 @@ def train_and_compare(
     begin = time.perf_counter()
     train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
-    policies = (*policy_names(), str(folder))
+    policies = (*policy_names(make_scenario(name, {})), str(folder))
     compare(env, policies, (), episodes, FINAL_SEED, None, folder)
     compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights")
     return folder
 
 
 def compare(
-    env: str, policies: Sequence[str], trackers: Sequence[str], episodes: int, seed: int, flights: str | None, out: Path
-) -> dict[str, Any]:
+    env: str, policies: Sequence[str] | None, trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
+    out: Path,
+) -> dict[str, Any]:  # fmt: skip
     """Evaluate policies (crossed with trackers, if any are named), write the files and print the table.
 
     Arguments as in `agents.cli.Evaluate`; returns the summary.
     """
     name = scenario_name(env)
     _check_numbers(episodes, seed)
+    if policies is None:
+        policies = [known for known in policy_names(make_scenario(name, {})) if known != "oracle"]
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
     base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
@@ -86,7 +89,7 @@ def _check_numbers(episodes: int, seed: int) -> None:
 
 
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
-    known = policy_names()
+    known = policy_names(scenario)
     labels = unique_names([name if name in known else "learned" for name in names])
     return {
         label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)

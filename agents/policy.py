@@ -1,7 +1,7 @@
 """The one protocol of all decision makers, and the registry of those known by name.
 
 A policy sees the belief (and the observation made of it), never the truth. It decides for whole batches: arrays'
-first axis is the environment. Adding one is one class and one line in `POLICIES`.
+first axis is the environment. Adding one is one class and one line in its file's table of makers.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from passive_env.belief import Belief
+from passive_env.catalogue.two_station import TwoStation
 
 
 @runtime_checkable
@@ -31,24 +32,37 @@ def make_policy(name: str, scenario: Any, seed: int = 0) -> Policy:
     """A policy by its name.
 
     Args:
-        name: a key of `POLICIES`.
+        name: one of `policy_names(scenario)`.
         scenario: the scenario it acts in.
         seed: of policies that draw random numbers.
     Raises:
-        ValueError: unknown name.
+        ValueError: a name that the scenario does not offer.
     """
-    from agents.fixed import FIXED
-    from agents.rules import RULES
-
-    makers: dict[str, Callable[[Any, int], Policy]] = {**FIXED, **RULES}
+    makers = _makers(scenario)
     if name not in makers:
-        raise ValueError(f"unknown policy {name!r}: known are {', '.join(makers)}, or a run folder made by train")
+        raise ValueError(
+            f"unknown policy {name!r}: {type(scenario).__name__} offers {', '.join(makers)}, "
+            "or name a run folder made by train"
+        )
     return makers[name](scenario, seed)
 
 
-def policy_names() -> list[str]:
-    """Names of all policies that need no training."""
-    from agents.fixed import FIXED
-    from agents.rules import RULES
+def policy_names(scenario: Any) -> list[str]:
+    """Names of all policies that need no training and can fly a scenario."""
+    return list(_makers(scenario))
 
-    return [*FIXED, *RULES]
+
+def sees_world(policy: Any) -> bool:
+    """Whether it is an oracle: it reads the truth through ``see(world)`` and is no policy one could fly."""
+    return getattr(policy, "needs_world", False)
+
+
+def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
+    """Makers (scenario, seed) of the policies for a scenario's family."""
+    from agents.fixed import PAPER, STEADY
+    from agents.greedy import GREEDY
+    from agents.planner import PLANNERS
+    from agents.rules import ONE_PLATFORM, TURN_APART
+
+    own = {**PAPER, **STEADY, **TURN_APART} if isinstance(scenario, TwoStation) else {**STEADY, **ONE_PLATFORM}
+    return {**own, **GREEDY, **PLANNERS}

@@ -26,7 +26,7 @@ from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
 from agents.learned import ALGORITHMS, CONFIG, MODEL, load_model, observation_digest, read_config
-from agents.policy import make_policy
+from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
 from passive_env.catalogue import environment_id, make_scenario
@@ -35,6 +35,9 @@ from passive_env.vector_env import PassiveVectorEnv
 
 CHECKPOINT = "checkpoint.zip"
 EVALUATION_EPISODES = 256
+REFERENCES = ("paper", "rule")
+"""Policies a model in training is compared with, where the scenario offers them."""
+
 EVALUATION_SEED = 2_000_000_000
 """Seeds of the evaluation on the way; far from training's and from the final evaluation's."""
 
@@ -198,10 +201,10 @@ class Checkpoints(BaseCallback):
             self.logger.record("rollout/final_range_error_m", float(np.mean(final)))
 
     def _evaluate(self) -> None:
-        """Mean final range error on fixed tapes, and its ratio to the paper's schedule and the rule."""
+        """Mean final range error on fixed tapes, and its ratio to the references."""
         scenario = self._run.scenario
         if not self._references:
-            for name in ("paper", "rule"):
+            for name in (known for known in REFERENCES if known in policy_names(scenario)):
                 record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
                 self._references[name] = float(record.final.mean())
         record = fly(scenario, _Current(self.model, scenario), EVALUATION_EPISODES, EVALUATION_SEED)

@@ -1,6 +1,7 @@
 """Fixed schedules, rules and the random policy: what they fly, and that they read nothing but the belief."""
 
 import math
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -8,11 +9,16 @@ import pytest
 from twin_worlds import fly, fly_twins
 
 from agents.fixed import Random, Schedule, Straight
-from agents.policy import Policy, make_policy, policy_names
-from agents.rules import TurnApart
+from agents.policy import Policy, make_policy, policy_names, sees_world
+from agents.rules import LeadLag, TurnApart, Zigzag
 from passive_env import PassiveEnv, PassiveVectorEnv
+from passive_env.belief import Belief
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
+from passive_env.kinematics import turn
+
+NAMES = policy_names(TwoStation())
+BELIEF_ONLY = [name for name in NAMES if not sees_world(make_policy(name, TwoStation()))]
 
 
 def wrapped_deg(angle):
@@ -175,7 +181,7 @@ def test_random_commands_belong_to_the_episode_and_not_to_its_place_in_a_batch()
 # ------------------------------------------------------------------------------------------------ all of them
 
 
-@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize("name", BELIEF_ONLY)
 @pytest.mark.parametrize("fields", [{}, {"detection_probability": 0.7, "false_bearings_mean": 1.0}], ids=str)
 def test_policies_depend_on_the_belief_only(monkeypatch, name, fields):
     """The truth behind the same bearings is another: every command is the same."""
@@ -197,7 +203,7 @@ def test_policies_depend_on_the_belief_only(monkeypatch, name, fields):
     assert np.array_equal(first.commands, second.commands)
 
 
-@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize("name", BELIEF_ONLY)
 def test_policies_obey_the_protocol(name):
     scenario = TwoStation(targets=2, steps=4)
     policy = make_policy(name, scenario)
@@ -215,7 +221,7 @@ def test_policies_obey_the_protocol(name):
         map_rows(np.testing.assert_array_equal, belief, before)
 
 
-@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize("name", BELIEF_ONLY)
 @pytest.mark.parametrize(
     "fields",
     [
@@ -236,7 +242,7 @@ def test_every_policy_flies_every_kind_of_scenario(name, fields):
         observation, *_ = env.step(action)
 
 
-@pytest.mark.parametrize("name", policy_names())
+@pytest.mark.parametrize("name", BELIEF_ONLY)
 def test_a_policy_decides_row_by_row(name):
     """Batch equals loop."""
     scenario = TwoStation(steps=6)
@@ -260,7 +266,7 @@ def test_a_policy_decides_row_by_row(name):
 
 
 def test_policies_known_by_name():
-    assert {"paper", "paper_opposed", "straight", "random", "rule", "rule_perpendicular"} <= set(policy_names())
+    assert {"paper", "paper_opposed", "straight", "random", "rule", "rule_perpendicular"} <= set(NAMES)
     scenario = TwoStation()
     assert isinstance(make_policy("paper", scenario), Schedule)
     assert isinstance(make_policy("straight", scenario), Straight)
@@ -291,3 +297,70 @@ def test_policies_run_in_a_plain_gymnasium_loop():
         observation, reward, _, truncated, _ = env.step(command)
         total += reward
     assert math.isfinite(total)
+
+
+# ------------------------------------------------------------------------------------------------ one platform
+
+
+def one_platform(**fields):
+    """The fields of a scenario that the rules read."""
+    return SimpleNamespace(**{"step_s": 5.0, "steps": 60, "max_turn_rate_deg_s": 3.0, **fields})
+
+
+def fly_past(policy, target, steps=60, tracks=1):
+    """Angles [k] deg of the courses off the line of sight, the estimate being the truth; the platform heads east."""
+    own, target = np.array([[[0.0, 0.0, 250.0, 0.0]]]), np.tile(np.array(target, dtype=float), (1, tracks, 1))
+    off = []
+    for k in range(steps):
+        belief = Belief(np.array([60 - k]), own, target, None, None, None, np.zeros((1, 1)), None)
+        if k == 0:
+            policy.reset(belief)
+        command = policy.act(belief, np.empty((1, 0)))
+        assert np.abs(command).max() <= 1.0
+        own = turn(own, command * math.radians(3.0), 5.0)
+        sight = np.degrees(np.arctan2(*(target[0, 0, 1::-1] - own[0, 0, 1::-1])))
+        off.append(float(wrapped_deg(np.degrees(np.arctan2(own[0, 0, 3], own[0, 0, 2])) - sight)))
+        target = target + 5.0 * np.concatenate([target[..., 2:], np.zeros((1, tracks, 2))], axis=-1)
+    return np.array(off)
+
+
+def test_zigzag_changes_sides_with_every_leg_and_follows_the_line_of_sight():
+    """Legs of 75 s at 60°: 15 steps each, of which up to 8 turn by 15°; the first is on the nearer side."""
+    off = fly_past(Zigzag(one_platform(), 75.0, 60.0), [300e3, 100e3, -100.0, 150.0])
+    for leg, side in enumerate((-1.0, 1.0, -1.0, 1.0)):
+        np.testing.assert_allclose(off[15 * leg + 9 : 15 * leg + 15], side * 60.0, atol=0.5)
+
+
+def test_perpendicular_keeps_to_one_side():
+    offer = policy_names(one_platform())
+    assert offer[:6] == ["straight", "random", "perpendicular", "lead_lag", "rule", "rule_average"]
+    off = fly_past(make_policy("perpendicular", one_platform()), [300e3, -100e3, -100.0, 150.0])
+    np.testing.assert_allclose(off[8:], 90.0, atol=0.5)
+
+
+@pytest.mark.parametrize("across", [-150.0, 150.0])
+def test_lead_lag_lags_then_leads_once_the_targets_course_is_known(across):
+    """A target that moves left of the line of sight is lagged on the right; the first leg is on the nearer side."""
+    off = fly_past(LeadLag(one_platform(), 50.0, 70.0), [300e3, 50e3, -100.0, across])
+    assert off[9] == pytest.approx(-70.0, abs=0.5)
+    for leg, lead in ((2, False), (3, True), (4, False), (5, True)):
+        side = np.sign(across) if lead else -np.sign(across)
+        assert off[10 * leg + 9] == pytest.approx(70.0 * side, abs=1.0), leg
+
+
+@pytest.mark.parametrize(
+    ("leg_s", "angle_deg", "message"),
+    [(0.0, 60.0, "leg_s = 0.0"), (math.nan, 60.0, "leg_s = nan"), (50.0, 181.0, "angle_deg = 181.0"),
+     (50.0, -1.0, "angle_deg = -1.0"), (50.0, math.nan, "angle_deg = nan")],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", [Zigzag, LeadLag])
+def test_impossible_legs_are_errors(kind, leg_s, angle_deg, message):
+    with pytest.raises(ValueError, match=message):
+        kind(one_platform(), leg_s, angle_deg)
+
+
+def test_a_policy_of_another_family_is_an_error_that_names_those_on_offer():
+    with pytest.raises(ValueError, match=r"unknown policy 'lead_lag': TwoStation offers paper, .*rule_tuned.*planner"):
+        make_policy("lead_lag", TwoStation())
+    with pytest.raises(ValueError, match=r"unknown policy 'paper': .* offers straight, random, perpendicular"):
+        make_policy("paper", one_platform())
