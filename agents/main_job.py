@@ -9,7 +9,7 @@ from typing import Any
 
 from agents.evaluation import fly_all, summarize, unique_names
 from agents.learned import CONFIG, LearnedPolicy
-from agents.policy import Policy, make_policy, policy_names
+from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.report import as_markdown, write_evaluation
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 from passive_env.core import Simulation
@@ -34,7 +34,7 @@ def train_and_compare(
     begin = time.perf_counter()
     train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
-    policies = (*policy_names(make_scenario(name, {})), str(folder))
+    policies = (*_standard_policies(name), str(folder))
     compare(env, policies, (), episodes, FINAL_SEED, None, folder)
     compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights")
     return folder
@@ -51,7 +51,7 @@ def compare(
     name = scenario_name(env)
     _check_numbers(episodes, seed)
     if policies is None:
-        policies = [known for known in policy_names(make_scenario(name, {})) if known != "oracle"]
+        policies = _standard_policies(name)
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
     base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
@@ -79,6 +79,12 @@ def flown_by(name: str, flights: str) -> Any:
     scenario = make_scenario(name, {"course": "flights", **source})
     scenario.check_flights()
     return scenario
+
+
+def _standard_policies(name: str) -> list[str]:
+    """All policies a scenario offers, except oracles: they take as long as planners and decide from the truth."""
+    scenario = make_scenario(name, {})
+    return [known for known in policy_names(scenario) if not sees_world(make_policy(known, scenario))]
 
 
 def _check_numbers(episodes: int, seed: int) -> None:

@@ -310,6 +310,13 @@ def test_evaluate_command_writes_and_prints_the_comparison(tmp_path, capsys):
     assert summary["policies"]["rule"]["final_range_error_m"]["mean"] == pytest.approx(direct.final.mean(), rel=1e-12)
 
 
+def test_evaluate_command_flies_all_policies_but_the_oracle_by_default(tmp_path):
+    assert evaluate("--episodes", 2, "--out", tmp_path) == 0
+    summary = json.loads((tmp_path / "evaluation.json").read_text())
+    assert list(summary["policies"]) == [name for name in policy_names(TwoStation()) if name != "oracle"]
+    assert {"paper", "rule", "rule_tuned", "greedy", "planner"} == set(summary["ratios"])
+
+
 def test_evaluate_command_crosses_policies_with_trackers(tmp_path):
     """The second use of the package: trackers under the same maneuvers."""
     status = evaluate(

@@ -428,6 +428,26 @@ def test_stand_off_rings_are_kept(kind):
     assert closest_approach_m(kind(ring, guard_m=0.0), ring, approaching(30e3), 24)[0] > 11.9e3
 
 
+def test_no_go_discs_are_flown_around():
+    """A disc lies across the best heading found without it."""
+    belief = random_belief(6, 1, 1, seed=23)
+    policy = Greedy(scenario(), 12, "range_std", guard_m=0.0)
+    free = policy.best(situation(belief, 5.0, 12), belief.mean)
+
+    def path(headings):
+        own = belief.platforms
+        for _ in range(12):
+            rate = towards(headings, own, math.radians(15.0)) * math.radians(3.0)
+            own = turn(own, rate, 5.0)
+            yield own[:, 0, :2]
+
+    end = list(path(free))[-1]
+    discs = np.concatenate([end, np.full((6, 1), 5e3)], axis=-1)[:, None]
+    around = policy.best(situation(belief, 5.0, 12, discs), belief.mean)
+    distance = np.min([np.linalg.norm(place - end, axis=-1) for place in path(around)], axis=0)
+    assert distance.min() > 5e3
+
+
 # ------------------------------------------------------------------------------------------------ observability
 
 
