@@ -27,7 +27,8 @@ TURN_UNIFORMS = 4
 
 NEAREST_DISC = 1.5
 """Least distance of a disc's centre from the platform's start, in radii: at the default speed, turn rate and radius a
-platform that heads straight at it can still turn away."""
+platform that heads straight at it can still turn away. The largest is the nearest start of a target, whatever the
+target's own range: where the discs are must not tell how far the target is."""
 DISC_OFFSET = 1.5
 """Largest distance of a disc's centre from the line of sight it was drawn on, in radii."""
 
@@ -149,7 +150,7 @@ def _random_starts(heading_u, target_u, disc_u, limits, like_x, like_c, platform
         x, y = start[d % n, 0], start[d % n, 1]
         distance = math.hypot(x, y)
         nearest = NEAREST_DISC * radius
-        along = nearest + max(distance - radius - nearest, 0.0) * disc_u[d, 0]
+        along = nearest + max(limits[1] - nearest, 0.0) * disc_u[d, 0]
         across = DISC_OFFSET * radius * (2.0 * disc_u[d, 1] - 1.0)
         discs[d, 0], discs[d, 1] = (x * along - y * across) / distance, (y * along + x * across) / distance
         discs[d, 2] = radius
