@@ -37,9 +37,15 @@ DISC_OFFSET = 1.5
 class Ownship(BearingScenario):
     """One platform steers by turn rate; its tracker ranges up to three targets from unlabelled bearings.
 
-    The platform starts at the origin on a random heading, the targets at any range and bearing within the limits on
-    any course. All of it is drawn from the tape: the first numbers of an episode make platform and targets, so keywords
-    that add turns, discs, misses or false bearings leave the starts as they are.
+    The platform starts at the origin on a random heading, the targets at any bearing, at ranges within the limits and on
+    any course. The first random numbers of an episode make platform and targets, so keywords that add turns, discs,
+    misses or false bearings leave the starts as they are.
+
+    Observation: `TrackObservation`; with no-go discs also where they are, which the belief holds in `discs`.
+    Cost: ``reward_standoff`` and ``reward_nogo`` times the relative depth of intrusion into the rings about the targets
+    and into the discs, which `info` shows unweighted.
+    Bound: starts from what the tracker knows before any bearing, a range anywhere in its interval (as a Gaussian of the
+    same variance) and 200 m/s per axis. Targets are drawn from less than that, so early errors lie below the bound.
     """
 
     stations: ClassVar[int] = 1
