@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env import PassiveVectorEnv
+from passive_env.catalogue.bearings import BearingScenario
+from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.rewards import TERMS
 
@@ -36,25 +38,35 @@ FAR = {"range_min_m": 1e6, "range_max_m": 1e6, "baseline_min_m": 1e6, "baseline_
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnTop(TwoStation):
+class OnTop(BearingScenario):
     """Targets sit exactly on the stations: bearings of zero distance."""
 
     def draw_tape(self, generators):
         tape = super().draw_tape(generators)
         targets = tape.targets.copy()
         for m in range(self.targets):
-            targets[:, :, m, :] = tape.platforms[:, None, m % 2, :]
+            targets[:, :, m, :] = tape.platforms[:, None, m % self.stations, :]
         return tape._replace(targets=targets)
 
 
-EXTREMES: dict[str, TwoStation] = {
+@dataclass(frozen=True, kw_only=True)
+class TwoStationOnTop(OnTop, TwoStation):
+    """Two stations under their targets."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnshipOnTop(OnTop, Ownship):
+    """One platform under its targets."""
+
+
+EXTREMES: dict[str, BearingScenario] = {
     "defaults": TwoStation(**ALL_TERMS),
     "paper course": TwoStation(course="paper", **ALL_TERMS),
     "recorded flights": TwoStation(course="flights", targets=6, steps=20, **ALL_TERMS),
     "targets overhead": TwoStation(targets=6, **OVERHEAD, **ALL_TERMS),
     "targets overhead, fused": TwoStation(tracker="fused_ekf", **OVERHEAD, **ALL_TERMS),
-    "targets on the stations": OnTop(station_speed_m_s=0.0, **ALL_TERMS),
-    "targets on the stations, fused": OnTop(station_speed_m_s=0.0, tracker="fused_ekf", **ALL_TERMS),
+    "targets on the stations": TwoStationOnTop(station_speed_m_s=0.0, **ALL_TERMS),
+    "targets on the stations, fused": TwoStationOnTop(station_speed_m_s=0.0, tracker="fused_ekf", **ALL_TERMS),
     "far away": TwoStation(**FAR, **ALL_TERMS),
     "bearing noise 10 deg": TwoStation(bearing_std_deg=10.0, **ALL_TERMS),
     "bearing noise 10 deg, fused": TwoStation(bearing_std_deg=10.0, tracker="fused_ekf", **ALL_TERMS),
@@ -79,6 +91,25 @@ EXTREMES: dict[str, TwoStation] = {
         targets=6, hypotheses=2, step_s=60.0, bearing_std_deg=10.0, process_noise_m_s=500.0, detection_probability=0.05,
         false_bearings_mean=5.0, **OVERHEAD, **ALL_TERMS,
     ),
+    "one platform, turning targets, discs": Ownship(targets=3, maneuvering=True, nogo_discs=4, **ALL_TERMS),
+    "one platform, detection 0.01, 10 false bearings": Ownship(
+        targets=3, detection_probability=0.01, false_bearings_mean=10.0, **ALL_TERMS
+    ),
+    "one platform, 3 false bearings, fused": Ownship(
+        targets=3, detection_probability=0.5, false_bearings_mean=3.0, tracker="fused_ekf", **ALL_TERMS
+    ),
+    "one platform, targets overhead": Ownship(
+        targets=3, range_floor_m=100.0, range_cap_m=1e3, nogo_discs=4, nogo_radius_m=1e5, maneuvering=True,
+        target_turn_max_deg_s=45.0, **{name: value for name, value in OVERHEAD.items() if "baseline" not in name},
+        **ALL_TERMS,
+    ),
+    "one platform, targets on it": OwnshipOnTop(station_speed_m_s=0.0, targets=3, **ALL_TERMS),
+    "one platform, noise 0.001 deg, no process noise": Ownship(
+        bearing_std_deg=1e-3, process_noise_m_s=0.0, **ALL_TERMS
+    ),
+    "one platform, discrete, scans a minute apart": Ownship(
+        actions="discrete", step_s=60.0, range_cap_m=1e7, bearing_std_deg=10.0, **ALL_TERMS
+    ),
 }  # fmt: skip
 
 
@@ -98,7 +129,7 @@ class Violation(AssertionError):
     """Something handed out was not finite or out of bounds; the message says what, where and when."""
 
 
-def soak(scenario: TwoStation, steps: int, envs: int, seed: int = 0, threads: int | None = None) -> Soaked:
+def soak(scenario: BearingScenario, steps: int, envs: int, seed: int = 0, threads: int | None = None) -> Soaked:
     """Fly at least `steps` environment steps under random actions and check everything after each.
 
     Raises:
@@ -111,7 +142,7 @@ def soak(scenario: TwoStation, steps: int, envs: int, seed: int = 0, threads: in
     _check(env, 0, observation, np.zeros(envs), info)
     worst = np.zeros(3)
     episodes, lost, flown = 0, 0.0, 0
-    held = rng.uniform(-1.0, 1.0, (envs, 2))
+    held = rng.uniform(-1.0, 1.0, (envs, scenario.stations))
     while flown < steps:
         action = _random_action(env, rng, held)
         observation, reward, _, truncated, info = env.step(action)
@@ -127,7 +158,7 @@ def soak(scenario: TwoStation, steps: int, envs: int, seed: int = 0, threads: in
 def _random_action(env: PassiveVectorEnv, rng: np.random.Generator, held: np.ndarray) -> np.ndarray:
     """Half the environments jitter, half hold a turn; one in a hundred of these picks another."""
     redraw = rng.random(len(held)) < 0.01
-    held[redraw] = rng.uniform(-1.5, 1.5, (int(redraw.sum()), 2))
+    held[redraw] = rng.uniform(-1.5, 1.5, (int(redraw.sum()), held.shape[1]))
     command = np.where(np.arange(len(held))[:, None] % 2, held, rng.uniform(-1.0, 1.0, held.shape))
     return env.simulation.actions.encode(np.clip(command, -1.0, 1.0))
 

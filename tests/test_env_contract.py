@@ -30,14 +30,22 @@ VARIANTS = (
     {"targets": 1},
     {"targets": 6},
     {"steps": 3},
+    {"maneuvering": True},
+    {"nogo_discs": 2, "standoff_m": 5000.0, "targets": 2},
     {"render_mode": "rgb_array"},
 )
 
 
 def applies(env_id, variant) -> bool:
-    """Whether an environment's scenario has a variant's fields."""
-    known = {f.name for f in dataclasses.fields(SCENARIOS[scenario_name(env_id)])} | {"render_mode"}
-    return set(variant) <= known
+    """Whether an environment's scenario has a variant's fields and allows its values."""
+    rules = {f.name: f.metadata for f in dataclasses.fields(SCENARIOS[scenario_name(env_id)])}
+    return all(
+        name == "render_mode" or (name in rules and allows(rules[name], value)) for name, value in variant.items()
+    )
+
+
+def allows(rule, value) -> bool:
+    return value in rule.get("options", (value,)) and value <= rule.get("high", value)
 
 
 CASES = [
@@ -56,6 +64,7 @@ INFO = {
     "nees": np.float64,
     "lost": np.bool_,
 }
+VIOLATIONS = {"standoff_violation", "nogo_violation"}
 
 
 def make(env_id, variant):
@@ -79,7 +88,8 @@ def arrays_of(observation, info):
 
 
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
-    assert "passive/TwoStation-v0" in environment_ids()
+    known = {f"passive/{name}-v0" for name in ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")}
+    assert known <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
         assert env_id.startswith("passive/")
@@ -239,7 +249,8 @@ def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     env = make(env_id, variant)
     targets = env.unwrapped.scenario.targets
     for _, reward, truncated, info in episode(env):
-        assert set(info) == {*INFO, "reward_terms"}
+        assert set(info) == {*INFO, *VIOLATIONS, "reward_terms"}
+        assert all(type(info[name]) is float and info[name] >= 0.0 for name in VIOLATIONS)
         for name, dtype in INFO.items():
             assert info[name].shape == (targets,), name
             assert info[name].dtype == dtype, name

@@ -61,9 +61,10 @@ def assert_same_step(ours, theirs):
 
 def random_actions(env, seed, count):
     rng = np.random.default_rng(seed)
+    shape = (count, env.num_envs, *env.single_action_space.shape)
     if isinstance(env.single_action_space, gym.spaces.MultiDiscrete):
-        return rng.integers(0, 3, (count, env.num_envs, 2))
-    return rng.uniform(-1.0, 1.0, (count, env.num_envs, 2)).astype(np.float32)
+        return rng.integers(0, 3, shape)
+    return rng.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
 def fly_both(ours, theirs, seed, calls):
@@ -101,6 +102,8 @@ def test_vector_equals_singles_over_two_episodes(num_envs, mode):
         {"course": "paper", "bearings": "reference"},
         {"tracker": "fused_ekf", "detection_probability": 0.9},
         {"actions": "discrete", "targets": 5, "false_bearings_mean": 0.5},
+        {"scenario": "Ownship", "steps": 30, "detection_probability": 0.9},
+        {"scenario": "OwnshipManeuvering", "steps": 30, "nogo_discs": 2, "targets": 2, "false_bearings_mean": 0.5},
     ],
     ids=str,
 )
@@ -108,11 +111,12 @@ def test_vector_equals_singles_over_whole_default_episodes(fields):
     fly_both(PassiveVectorEnv(num_envs=3, **fields), oracle(3, AutoresetMode.NEXT_STEP, **fields), seed=2, calls=93)
 
 
+@over_modes
 @pytest.mark.parametrize("name", list(SCENARIOS))
-def test_every_registered_scenario_vectorises(name):
+def test_every_registered_scenario_vectorises(name, mode):
     single = lambda: PassiveEnv(name, steps=4)  # noqa: E731
-    theirs = SyncVectorEnv([single] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
-    fly_both(PassiveVectorEnv(name, num_envs=2, autoreset_mode="same_step", steps=4), theirs, seed=0, calls=9)
+    theirs = SyncVectorEnv([single] * 2, autoreset_mode=mode)
+    fly_both(PassiveVectorEnv(name, num_envs=2, autoreset_mode=mode, steps=4), theirs, seed=0, calls=9)
 
 
 def test_sub_environments_do_not_depend_on_the_width_of_the_batch():

@@ -18,6 +18,7 @@ from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue import make_scenario
+from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
@@ -635,54 +636,61 @@ def test_positive_actions_turn_counter_clockwise_at_the_limit():
 
 # ------------------------------------------------------------------------------------------------ scenarios
 
-RULED = [f for f in dataclasses.fields(TwoStation) if f.metadata["kind"] in ("number", "integer")]
-PARTNERS = {
-    "baseline_min_m": "baseline_max_m", "range_min_m": "range_max_m", "target_speed_min_m_s": "target_speed_max_m_s",
-}  # fmt: skip
-PARTNERS |= {high: low for low, high in PARTNERS.items()}
+KINDS = (TwoStation, Ownship)
+RULED = [
+    pytest.param(kind, f, id=f"{kind.__name__}-{f.name}")
+    for kind in KINDS
+    for f in dataclasses.fields(kind)
+    if f.metadata["kind"] in ("number", "integer")
+]
+ORDERED = [(kind, low, high) for kind in KINDS for low, high in kind.ordered]
+PARTNERS = {low: high for _, low, high in ORDERED} | {high: low for _, low, high in ORDERED}
+over_numbers = pytest.mark.parametrize(("kind", "f"), RULED)
 
 
 def test_every_field_states_what_is_allowed():
-    for f in dataclasses.fields(TwoStation):
-        assert f.metadata["kind"] in ("number", "integer", "choice", "free"), f.name
+    for f in (f for kind in KINDS for f in dataclasses.fields(kind)):
+        assert f.metadata["kind"] in ("number", "integer", "choice", "flag", "free"), f.name
         assert f.metadata["doc"], f.name
-    for f in RULED:
-        assert f.metadata["low"] <= f.default <= f.metadata["high"], f.name
+        if "low" in f.metadata:
+            assert f.metadata["low"] <= f.default <= f.metadata["high"], f.name
 
 
-@pytest.mark.parametrize("f", RULED, ids=lambda f: f.name)
-def test_numbers_outside_their_limits_are_errors_that_name_field_value_and_limits(f):
+@over_numbers
+def test_numbers_outside_their_limits_are_errors_that_name_field_value_and_limits(kind, f):
     low, high = f.metadata["low"], f.metadata["high"]
     whole = f.metadata["kind"] == "integer"
     for value in (
         (low - 1, high + 1) if whole else (low - 0.01, high * 1.01 + 0.01, math.nan, math.inf, -math.inf, 10**400)
     ):
         with pytest.raises(ValueError) as caught:
-            TwoStation(**{f.name: value})
-        assert f"TwoStation.{f.name} = {value!r}" in str(caught.value)
+            kind(**{f.name: value})
+        assert f"{kind.__name__}.{f.name} = {value!r}" in str(caught.value)
         assert f"[{low}, {high}]" in str(caught.value)
 
 
-@pytest.mark.parametrize("f", RULED, ids=lambda f: f.name)
-def test_values_of_the_wrong_type_are_errors_that_name_the_field(f):
+@over_numbers
+def test_values_of_the_wrong_type_are_errors_that_name_the_field(kind, f):
     wrong = ["3", None, True, [1], 1 + 2j] + ([2.0, math.nan] if f.metadata["kind"] == "integer" else [])
     for value in wrong:
-        with pytest.raises(ValueError, match=rf"TwoStation\.{f.name} = .*must be (an integer|a number)"):
-            TwoStation(**{f.name: value})
+        with pytest.raises(ValueError, match=rf"{kind.__name__}\.{f.name} = .*must be (an integer|a number)"):
+            kind(**{f.name: value})
 
 
-@pytest.mark.parametrize("f", RULED, ids=lambda f: f.name)
-def test_limits_themselves_are_allowed_and_make_an_environment(f):
+@over_numbers
+def test_limits_themselves_are_allowed_and_make_an_environment(kind, f):
     for value in (f.metadata["low"], f.metadata["high"]):
         fields = {f.name: value}
         if f.name in PARTNERS:
             fields[PARTNERS[f.name]] = value
         if f.name == "steps" and value > 1000:
             fields["targets"] = 1
-        env = PassiveEnv(**fields)
+        if f.name == "range_cap_m":
+            fields["range_floor_m"] = 100.0
+        env = PassiveEnv(kind(**fields))
         observation, _ = env.reset(seed=0)
         assert observation in env.observation_space
-        assert env.step(np.array([1.0, -1.0]))[0] in env.observation_space
+        assert env.step(env.action_space.high)[0] in env.observation_space
 
 
 @pytest.mark.parametrize("number", [np.float64(2.5), np.float32(2.5), np.int64(2)], ids=lambda n: type(n).__name__)
@@ -693,11 +701,18 @@ def test_numpy_numbers_are_numbers(number):
         assert TwoStation(targets=number).targets == 2
 
 
-@pytest.mark.parametrize(("low", "high"), [(a, b) for a, b in PARTNERS.items() if "min" in a], ids=str)
-def test_a_minimum_above_its_maximum_is_an_error_that_names_both(low, high):
-    top = getattr(TwoStation(), high)
-    with pytest.raises(ValueError, match=rf"TwoStation\.{low} = {top + 1}.*{high} = {top}"):
-        TwoStation(**{low: top + 1})
+@pytest.mark.parametrize(("kind", "low", "high"), ORDERED, ids=str)
+def test_a_minimum_above_its_maximum_is_an_error_that_names_both(kind, low, high):
+    top = getattr(kind(), high)
+    with pytest.raises(ValueError, match=rf"{kind.__name__}\.{low} = {top + 1}.*{high} = {top}"):
+        kind(**{low: top + 1})
+
+
+@pytest.mark.parametrize("cap", [5e4, 4e4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_trackers_nearest_range_must_lie_below_its_farthest(kind, cap):
+    with pytest.raises(ValueError, match=rf"{kind.__name__}\.range_floor_m = 50000.0.*below range_cap_m = {cap}"):
+        kind(range_floor_m=5e4, range_cap_m=cap)
 
 
 @pytest.mark.parametrize(

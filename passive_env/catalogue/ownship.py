@@ -27,7 +27,8 @@ TURN_UNIFORMS = 4
 
 NEAREST_DISC = 1.5
 """Least distance of a disc's centre from the platform's start, in radii: at the default speed, turn rate and radius a
-platform that heads straight at it can still turn away."""
+platform that heads straight at it can still turn away. The largest is the nearest start of a target, whatever the
+target's own range: where the discs are must not tell how far the target is."""
 DISC_OFFSET = 1.5
 """Largest distance of a disc's centre from the line of sight it was drawn on, in radii."""
 
@@ -36,9 +37,15 @@ DISC_OFFSET = 1.5
 class Ownship(BearingScenario):
     """One platform steers by turn rate; its tracker ranges up to three targets from unlabelled bearings.
 
-    The platform starts at the origin on a random heading, the targets at any range and bearing within the limits on
-    any course. All of it is drawn from the tape: the first numbers of an episode make platform and targets, so keywords
-    that add turns, discs, misses or false bearings leave the starts as they are.
+    The platform starts at the origin on a random heading, the targets at any bearing, at ranges within the limits and on
+    any course. The first random numbers of an episode make platform and targets, so keywords that add turns, discs,
+    misses or false bearings leave the starts as they are.
+
+    Observation: `TrackObservation`; with no-go discs also where they are, which the belief holds in `discs`.
+    Cost: ``reward_standoff`` and ``reward_nogo`` times the relative depth of intrusion into the rings about the targets
+    and into the discs, which `info` shows unweighted.
+    Bound: starts from what the tracker knows before any bearing, a range anywhere in its interval (as a Gaussian of the
+    same variance) and 200 m/s per axis. Targets are drawn from less than that, so early errors lie below the bound.
     """
 
     stations: ClassVar[int] = 1
@@ -149,7 +156,7 @@ def _random_starts(heading_u, target_u, disc_u, limits, like_x, like_c, platform
         x, y = start[d % n, 0], start[d % n, 1]
         distance = math.hypot(x, y)
         nearest = NEAREST_DISC * radius
-        along = nearest + max(distance - radius - nearest, 0.0) * disc_u[d, 0]
+        along = nearest + max(limits[1] - nearest, 0.0) * disc_u[d, 0]
         across = DISC_OFFSET * radius * (2.0 * disc_u[d, 1] - 1.0)
         discs[d, 0], discs[d, 1] = (x * along - y * across) / distance, (y * along + x * across) / distance
         discs[d, 2] = radius
