@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from passive_env.belief import Belief
+from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
 
@@ -64,5 +65,6 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.planner import PLANNERS
     from agents.rules import ONE_PLATFORM, TURN_APART
 
-    own = {**PAPER, **STEADY, **TURN_APART} if isinstance(scenario, TwoStation) else {**STEADY, **ONE_PLATFORM}
+    families = {TwoStation: {**PAPER, **STEADY, **TURN_APART}, Ownship: {**STEADY, **ONE_PLATFORM}}
+    own = next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)
     return {**own, **GREEDY, **PLANNERS}

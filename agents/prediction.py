@@ -41,8 +41,6 @@ grows from 0 at the edge to 1 at the middle. The guard bends a plan, the others 
 WORST = 1e6
 """Cost of a plan whose prediction is no finite number."""
 
-NO_DISCS = np.empty((0, 3))
-
 
 class Situation(NamedTuple):
     """Where a plan begins; e environments, s platforms, m tracks.
@@ -66,22 +64,18 @@ class Situation(NamedTuple):
         return Situation(*(part[index] for part in self))
 
 
-def situation(belief: Belief, step_s: float, horizon: int, discs: Any = None) -> Situation:
+def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
     """What the belief says: tracks fly on at their mean velocities.
 
     Args:
         belief: of e environments.
         step_s: s.
         horizon: steps to look ahead, fewer where the episode ends before.
-        discs: [e, d, 3] no-go discs, if any.
     """
-    batch = len(belief.mean)
     steps = np.clip(belief.steps_left, 1, horizon)
     times = step_s * np.arange(1, int(steps.max(initial=1)) + 1)[:, None, None]
     paths = belief.mean[:, None, :, :2] + times * belief.mean[:, None, :, 2:]
-    if discs is None:
-        discs = np.broadcast_to(NO_DISCS, (batch, *NO_DISCS.shape))
-    return Situation(belief.platforms, paths, belief.cov, discs, steps)
+    return Situation(belief.platforms, paths, belief.cov, belief.discs, steps)
 
 
 @helper

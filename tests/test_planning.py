@@ -46,7 +46,7 @@ def random_belief(batch=3, platforms=1, tracks=1, steps_left=20, seed=0):
     return Belief(
         np.full(batch, steps_left), np.concatenate([places, velocity], axis=-1), mean, cov,
         np.ones((batch, tracks, platforms), dtype=bool), np.full((batch, platforms), tracks),
-        np.zeros((batch, platforms)), None,
+        np.zeros((batch, platforms)), None, np.empty((batch, 0, 3)),
     )  # fmt: skip
 
 
@@ -138,7 +138,7 @@ def test_penalties_of_guard_rings_and_discs_equal_a_plain_loop():
     plans = np.random.default_rng(7).uniform(-3.0, 3.0, (2, 4, 2, 2))
     ends = np.tile([5, 12], (2, 4, 1))
     prediction = Prediction(fields, "range_std", guard_m=33e3)
-    costs = prediction.cost(situation(belief, 5.0, 12, discs), plans, ends)
+    costs = prediction.cost(situation(belief._replace(discs=discs), 5.0, 12), plans, ends)
     expected = [
         [
             expected_cost(belief, e, fields, "range_std", plans[e, c], ends[e, c], 12, 33e3, discs[e])
@@ -443,7 +443,7 @@ def test_no_go_discs_are_flown_around():
 
     end = list(path(free))[-1]
     discs = np.concatenate([end, np.full((6, 1), 5e3)], axis=-1)[:, None]
-    around = policy.best(situation(belief, 5.0, 12, discs), belief.mean)
+    around = policy.best(situation(belief._replace(discs=discs), 5.0, 12), belief.mean)
     distance = np.min([np.linalg.norm(place - end, axis=-1) for place in path(around)], axis=0)
     assert distance.min() > 5e3
 

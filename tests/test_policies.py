@@ -312,7 +312,7 @@ def fly_past(policy, target, steps=60, tracks=1):
     own, target = np.array([[[0.0, 0.0, 250.0, 0.0]]]), np.tile(np.array(target, dtype=float), (1, tracks, 1))
     off = []
     for k in range(steps):
-        belief = Belief(np.array([60 - k]), own, target, None, None, None, np.zeros((1, 1)), None)
+        belief = Belief(np.array([60 - k]), own, target, None, None, None, np.zeros((1, 1)), None, np.empty((1, 0, 3)))
         if k == 0:
             policy.reset(belief)
         command = policy.act(belief, np.empty((1, 0)))

@@ -20,7 +20,7 @@ from passive_env.flights import FlightPaths, load_flights
 from passive_env.kinematics import turn
 from passive_env.observations import TrackObservation
 from passive_env.rewards import TERMS
-from passive_env.scenario import Scenario, choice, free, integer, number
+from passive_env.scenario import Scenario, choice, flag, free, integer, number
 from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
 from trackers import TRACKERS
 from trackers.association import AssociationModel
@@ -70,6 +70,9 @@ class BearingScenario(Scenario):
     range_floor_m: float = number(5e3, 100.0, 1e5, "nearest range the tracker looks for a target at first")
     range_cap_m: float = number(2e5, 1e3, 1e7, "farthest")
     process_noise_m_s: float = number(15.0, 0.0, 500.0, "the filter's q, velocity increment per step")
+    prune_below: float = number(1e-4, 0.0, 0.5, "weight at which a bank removes a hypothesis; 0 keeps all")
+    merge_below: float = number(4.0, 0.0, 100.0, "squared Mahalanobis distance at which a bank's hypotheses merge")
+    second_order: bool = flag(False, "whether a bearing's curvature adds to a bank's innovation variance")
     detection_probability: float = number(1.0, 0.01, 1.0, "of each bearing, after the first scan")
     false_bearings_mean: float = number(0.0, 0.0, 10.0, "false bearings per station and scan, after the first scan")
     standoff_m: float = number(0.0, 0.0, 1e5, "distance stations should keep from targets; 0 for none")
@@ -134,7 +137,8 @@ class BearingScenario(Scenario):
             return _checked_tracker(self.tracker)
         if self.tracker not in TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, TRACKERS))}")
-        settings: dict[str, Any] = {} if self.tracker == "fused_ekf" else {"hypotheses": self.hypotheses}
+        names = () if self.tracker == "fused_ekf" else ("hypotheses", "prune_below", "merge_below", "second_order")
+        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
         model = AssociationModel(
             detection_probability=self.detection_probability,
             false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),

@@ -65,6 +65,8 @@ class Ownship(BearingScenario):
     process_noise_m_s: float = number(
         5.0, 0.0, 500.0, "the filter's q, velocity increment per step: 1 m/s² at the default step"
     )
+    merge_below: float = number(1.0, 0.0, 100.0, "squared Mahalanobis distance at which a bank's hypotheses merge")
+    second_order: bool = flag(True, "whether a bearing's curvature adds to a bank's innovation variance")
     range_min_m: float = number(25e3, 1e3, 1e6, "nearest drawn start of a target")
     range_max_m: float = number(90e3, 1e3, 1e6, "farthest")
     target_speed_min_m_s: float = number(100.0, 1.0, 2000.0, "slowest drawn target")
@@ -181,7 +183,7 @@ def _random_turns(u, limits, like, rates, windows):
 
 CATALOGUE: dict[str, Ownship] = {
     "Ownship": Ownship(),
-    "OwnshipManeuvering": Ownship(maneuvering=True),
+    "OwnshipManeuvering": Ownship(maneuvering=True, tracker="rp_ekf_adaptive"),
     "OwnshipMulti": Ownship(targets=3, standoff_m=10e3),
 }
 """This module's scenarios by name; each becomes the environment ``passive/NAME-v0``."""
