@@ -37,7 +37,7 @@ DISC_OFFSET = 1.5
 class Ownship(BearingScenario):
     """One platform steers by turn rate; its tracker ranges up to three targets from unlabelled bearings.
 
-    The platform starts at the origin on a random heading, the targets at any bearing, at ranges within the limits and on
+    The platform starts at the origin on a random heading, the targets at any bearing, at ranges within the limits, on
     any course. The first random numbers of an episode make platform and targets, so keywords that add turns, discs,
     misses or false bearings leave the starts as they are.
 
