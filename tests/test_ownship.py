@@ -51,7 +51,7 @@ def length(vector):
     ("name", "fields"),
     [
         ("Ownship", {}),
-        ("OwnshipManeuvering", {"maneuvering": True}),
+        ("OwnshipManeuvering", {"maneuvering": True, "tracker": "rp_ekf_adaptive"}),
         ("OwnshipMulti", {"targets": 3, "standoff_m": 1e4}),
     ],
 )

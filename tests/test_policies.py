@@ -13,6 +13,7 @@ from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.rules import LeadLag, TurnApart, Zigzag
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.belief import Belief
+from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
 from passive_env.kinematics import turn
@@ -332,9 +333,9 @@ def test_zigzag_changes_sides_with_every_leg_and_follows_the_line_of_sight():
 
 
 def test_perpendicular_keeps_to_one_side():
-    offer = policy_names(one_platform())
+    offer = policy_names(Ownship())
     assert offer[:6] == ["straight", "random", "perpendicular", "lead_lag", "rule", "rule_average"]
-    off = fly_past(make_policy("perpendicular", one_platform()), [300e3, -100e3, -100.0, 150.0])
+    off = fly_past(make_policy("perpendicular", Ownship()), [300e3, -100e3, -100.0, 150.0])
     np.testing.assert_allclose(off[8:], 90.0, atol=0.5)
 
 
@@ -362,5 +363,5 @@ def test_impossible_legs_are_errors(kind, leg_s, angle_deg, message):
 def test_a_policy_of_another_family_is_an_error_that_names_those_on_offer():
     with pytest.raises(ValueError, match=r"unknown policy 'lead_lag': TwoStation offers paper, .*rule_tuned.*planner"):
         make_policy("lead_lag", TwoStation())
-    with pytest.raises(ValueError, match=r"unknown policy 'paper': .* offers straight, random, perpendicular"):
-        make_policy("paper", one_platform())
+    with pytest.raises(ValueError, match=r"unknown policy 'paper': Ownship offers straight, random, perpendicular"):
+        make_policy("paper", Ownship())
