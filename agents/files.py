@@ -36,6 +36,22 @@ def atomic_write(path: str | Path, content: bytes | str) -> Path:
     return path
 
 
+def make_folder(path: str | Path, flag: str = "--out") -> Path:
+    """Make a folder for results before anything is computed for it.
+
+    Raises:
+        FileExistsError: a file of that name stands there; OSError: it cannot be made. Both name the flag.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise FileExistsError(f"{flag} {path}: is a file, must name a folder")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{flag} {path}: cannot be made a folder ({error.strerror})") from error
+    return path
+
+
 def write_text(path: str | Path, text: str) -> Path:
     """Write text, ending in one newline."""
     return atomic_write(path, text.rstrip("\n") + "\n")

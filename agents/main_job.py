@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from agents.files import make_folder
 from agents.evaluation import fly_all, summarize, unique_names
 from agents.learned import CONFIG, LearnedPolicy
 from agents.policy import Policy, make_policy, policy_names, sees_world
-from agents.report import as_markdown, write_evaluation
+from agents.report import as_markdown, crossing_as_markdown, write_crossing, write_evaluation
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 from passive_env.core import Simulation
 
@@ -28,6 +29,8 @@ def train_and_compare(
 
     name = scenario_name(env)
     _check_numbers(episodes, seed)
+    if seed >= 2**32:
+        raise ValueError(f"--seed {seed}: must lie below 2**32")
     flown_by(name, flights)  # a bad file must fail before the training, not after it
     folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
     run = plan(name, folder, algo, seed, device, timesteps, envs)
@@ -57,6 +60,7 @@ def compare(
     base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
     scenarios = {tracker: base.replace(tracker=tracker) for tracker in trackers} or {"": base}
     teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
+    make_folder(out)
     summaries = {}
     for tracker, scenario in scenarios.items():
         records = fly_all(scenario, teams[tracker], episodes, seed)
@@ -66,7 +70,11 @@ def compare(
         write_evaluation(folder, summary, records, scenario)
         print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
         summaries[tracker] = summary
-    return summaries if len(summaries) > 1 else next(iter(summaries.values()))
+    if len(summaries) == 1:
+        return next(iter(summaries.values()))
+    write_crossing(out, summaries)
+    print(f"\n{out}\n\n{crossing_as_markdown(summaries)}")
+    return summaries
 
 
 def flown_by(name: str, flights: str) -> Any:

@@ -75,12 +75,13 @@ class Simulation:
         )
         state = self.tracker.initiate(scan)
         estimate = self.tracker.estimate(state)
+        _check_estimate(estimate, truth.shape, self.tracker)
         stations = tape.platforms.shape[1]
         prior = bound_prior(
             truth, tape.platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self.scenario.bound_range_std_m,
             PRIOR_VELOCITY_STD_M_S,
         )  # fmt: skip
-        bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0, self._std)
+        bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0, self._std, all_stations=True)
         return World(
             step, tape.platforms, tape, state, estimate,
             np.ones((batch, targets, stations), dtype=bool), scan.valid.sum(-1),
@@ -97,7 +98,7 @@ class Simulation:
         update = self.tracker.update(self.tracker.predict(world.track_state, scenario.step_s), sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
         bound, metrics = self._measure(
-            estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std
+            estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std, self._all_stations
         )
         assigned = _all_stations(update.assignment >= 0, platforms.shape[1])
         returns = np.add.reduce(sighting.scan.valid, axis=-1)
@@ -124,12 +125,29 @@ class Simulation:
         """[e] bool: the episode's last decision has been taken."""
         return world.step >= self.scenario.steps
 
-    def _measure(self, estimate, truth, bound, platforms, step_s, std):
+    def _measure(self, estimate, truth, bound, platforms, step_s, std, all_stations):
         s = self.scenario
         return measure(
-            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, std, self._all_stations,
+            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, std, all_stations,
             s.lost_error_m, s.lost_nees,
         )  # fmt: skip
+
+
+def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:
+    """Refuse a user's tracker whose first estimate is none.
+
+    Raises:
+        TypeError: no mean and cov; ValueError: wrong shapes, or variances that are not positive numbers.
+    """
+    name = f"tracker {type(tracker).__name__}: estimate()"
+    if not (hasattr(estimate, "mean") and hasattr(estimate, "cov")):
+        raise TypeError(f"{name} gave {type(estimate).__name__}, must give a trackers.gaussian.Gaussian (mean, cov)")
+    found, wanted = (np.shape(estimate.mean), np.shape(estimate.cov)), (shape, (*shape, shape[-1]))
+    if found != wanted:
+        raise ValueError(f"{name} gave mean and cov of shapes {found}, must be {wanted}")
+    variances = np.diagonal(estimate.cov, axis1=-2, axis2=-1)
+    if not ((variances > 0.0) & np.isfinite(variances)).all():
+        raise ValueError(f"{name} gave variances that are not positive numbers")
 
 
 def _renumber(tape: Tape, order: np.ndarray) -> Tape:

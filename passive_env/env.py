@@ -41,6 +41,7 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
             raise ValueError(f"render_mode = {render_mode!r}: must be None, 'rgb_array' or 'human'")
         self.scenario = make_scenario(scenario, fields)
         self.render_mode = render_mode
+        self.scenario.check_flights()
         self.simulation = Simulation(self.scenario)
         self.observation_space = self.simulation.observation.space
         self.action_space = self.simulation.actions.space

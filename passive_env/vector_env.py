@@ -60,6 +60,7 @@ class PassiveVectorEnv(VectorEnv):
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = render_mode
         self.num_envs = num_envs
+        self.scenario.check_flights()
         self.simulation = Simulation(self.scenario)
         self.single_observation_space = self.simulation.observation.space
         self.single_action_space = self.simulation.actions.space

@@ -104,6 +104,8 @@ class BearingScenario(Scenario):
             raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
         if not isinstance(self.flights, (str, os.PathLike, type(None))):
             raise self._error("flights", "must be the path of a file, or None")
+        if self.flights is not None and self.course != "flights":
+            raise self._error("flights", f"is not used with course={self.course!r}; add course='flights'")
         self.make_tracker()
 
     def _error(self, field: str, allowed: str) -> ValueError:
@@ -224,6 +226,8 @@ def _place_flight(start, window, path):
 
 
 def _checked_tracker(tracker: Any) -> Tracker:
+    if isinstance(tracker, type):
+        raise TypeError(f"tracker is the class {tracker.__name__}, must be an object: tracker={tracker.__name__}(…)")
     missing = [
         verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
     ]
