@@ -230,6 +230,33 @@ def test_crossing_bearings_keep_their_tracks():
     assert nees(mean, cov, truth).mean() < 5.0
 
 
+def test_covariances_stay_positive_definite_in_a_crowd():
+    """150 scans: four targets wander across each other within 10 km of two stations, bearings missed and false."""
+    rng, runs = np.random.default_rng(13), 6
+    tracker = AdaptiveRpEkf(
+        floor_m=1e3, cap_m=3e4, model=AssociationModel(detection_probability=0.9, false_bearing_density=0.3)
+    )
+    truth = np.concatenate([rng.uniform(-8e3, 8e3, (runs, 4, 2)), rng.normal(0.0, 200.0, (runs, 4, 2))], axis=-1)
+    stations = np.array([[-3e3, 0.0], [3e3, 500.0]])
+    state = None
+    for _ in range(150):
+        truth = truth @ transition(STEP_S).T
+        truth[..., 2:] += rng.normal(0.0, 30.0, (runs, 4, 2)) - 1e-2 * truth[..., :2]
+        z = bearing(truth[:, None], stations[:, None]) + rng.normal(0.0, STD, (runs, 2, 4))
+        z = np.concatenate([z, rng.uniform(-math.pi, math.pi, (runs, 2, 2))], axis=-1)
+        valid = rng.random(z.shape) < np.array([0.9] * 4 + [0.5] * 2)
+        if state is None:
+            state = tracker.initiate(Scan(z[..., :4], np.ones((runs, 2, 4), bool), stations, STD))
+            continue
+        state = tracker.update(tracker.predict(state, STEP_S), Scan(z, valid, stations, STD)).posterior
+        for part in (*state, *tracker.estimate(state)):
+            assert np.isfinite(part).all()
+        np.testing.assert_allclose(state.model_probabilities.sum(-1), 1.0)
+        alive = state.log_weights > PRUNED
+        deviation = np.sqrt(np.diagonal(state.cov[alive], axis1=-2, axis2=-1))
+        assert np.linalg.eigvalsh(state.cov[alive] / deviation[:, :, None] / deviation[:, None, :]).min() > 0.0
+
+
 def test_averaging_refuses_more_than_two_stations():
     bank = random_bank(np.random.default_rng(12), 1).flat()
     three = Scan(np.zeros((3, 1)), np.ones((3, 1), bool), np.zeros((3, 2)), STD)
