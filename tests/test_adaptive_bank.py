@@ -23,7 +23,7 @@ NOISE = np.array([4.0, 9.0, 12.0])
 
 
 def turning(step_s, rate):
-    """Transition of a turn at a known rate, as printed in Bar-Shalom, Li and Kirubarajan (2001), eq. 11.7.1-4."""
+    """Transition of a turn at a known rate, as printed in Bar-Shalom, Li and Kirubarajan (2001), section 11.7.1."""
     if rate == 0.0:
         return transition(step_s)
     s, c = math.sin(rate * step_s), math.cos(rate * step_s)
