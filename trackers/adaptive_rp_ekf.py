@@ -13,8 +13,8 @@ Source: Blom and Bar-Shalom, IEEE Trans. Automatic Control 33(8), 1988; Bar-Shal
 with Applications to Tracking and Navigation (2001), section 11.6.6 (IMM) and section 11.7.1 (turn at a known rate).
 Approximations: the IMM's (moment-matched mixing instead of all model histories) and those of `jpda`, which associates
 bearings and tracks over all n · r filters.
-Limits: averaging cannot take a traded bearing back. Where many crossings of two stations' bearings compete (ghosts), the
-branching bank of `RpEkf` with a large process noise tracks better.
+Limits: averaging cannot take a traded bearing back. Where many crossings of two stations' bearings compete (ghosts),
+the branching bank of `RpEkf` with a large process noise tracks better.
 """
 
 from __future__ import annotations

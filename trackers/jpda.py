@@ -39,7 +39,7 @@ def _weigh_filter(log_w, log_likelihood, share, c_opt, k_opt, two, hit, miss, lo
     for o in range(log_share.shape[0]):
         log_share[o] = -math.inf
         if share[o] > 0.0:
-            own = log_w + log_likelihood[k_opt[o, 2]] - fixed_cost(k_opt[o], two, hit, miss)
+            own = log_w + log_likelihood[k_opt[o, 2]] - fixed_cost(k_opt[o, 0], k_opt[o, 1], two, hit, miss)
             log_share[o] = math.log(share[o]) + c_opt[o] + own
             top = max(top, log_share[o])
     for o in range(log_share.shape[0]):

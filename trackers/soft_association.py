@@ -62,11 +62,11 @@ def weigh_options(x, P, lw, z, valid, stations, var, second_order, gate, miss, h
 
 
 @helper
-def fixed_cost(k, two, hit, miss):
-    """What the returns k of an option cost whatever the hypothesis: detections, misses and clutter."""
-    price = hit if k[0] >= 0 else miss
+def fixed_cost(ka, kb, two, hit, miss):
+    """What an option's returns (ka, kb) cost whatever the hypothesis: detections, misses and clutter."""
+    price = hit if ka >= 0 else miss
     if two:
-        price += hit if k[1] >= 0 else miss
+        price += hit if kb >= 0 else miss
     return price
 
 
@@ -82,7 +82,7 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
     for o in range(count):
         if share[o] <= 0.0:
             continue
-        price = fixed_cost(k_opt[o], two, hit, miss)
+        price = fixed_cost(k_opt[o, 0], k_opt[o, 1], two, hit, miss)
         coupling = math.log(share[o]) + c_opt[o]
         for i in range(n):
             if lw[i] <= PRUNED:
