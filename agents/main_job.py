@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.files import make_folder
 from agents.evaluation import fly_all, summarize, unique_names
+from agents.files import make_folder
 from agents.learned import CONFIG, LearnedPolicy
 from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.report import as_markdown, crossing_as_markdown, write_crossing, write_evaluation

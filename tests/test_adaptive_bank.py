@@ -11,7 +11,8 @@ from trackers import TRACKERS, AdaptiveRpEkf, RpEkf, Scan, rp_ekf
 from trackers.adaptive_rp_ekf import ModelBank, mix_and_predict, stationary
 from trackers.association import PRUNED, AssociationModel
 from trackers.consistency import nees
-from trackers.gaussian import Gaussian
+from trackers.gaussian import Gaussian, moment_match
+from trackers.jpda import average_and_update
 from trackers.measurement import bearing, update
 from trackers.motion import process_noise, transition
 
@@ -22,7 +23,7 @@ NOISE = np.array([4.0, 9.0, 12.0])
 
 
 def turning(step_s, rate):
-    """Transition of a turn at a known rate, as printed in Bar-Shalom, Li and Kirubarajan (2001), eq. 11.7.1-4."""
+    """Transition of a turn at a known rate, as printed in Bar-Shalom, Li and Kirubarajan (2001), section 11.7.1."""
     if rate == 0.0:
         return transition(step_s)
     s, c = math.sin(rate * step_s), math.cos(rate * step_s)
@@ -154,6 +155,113 @@ def test_turn_prediction_is_the_printed_transition(rate_deg_s):
     np.testing.assert_allclose(found.mean[0, 0], F @ bank.mean[0, 0], rtol=1e-9, atol=1e-5)
     expected = F @ bank.cov[0, 0] @ F.T + process_noise(STEP_S, 7.0)
     np.testing.assert_allclose(found.cov[0, 0], expected, rtol=1e-8, atol=1e-2)
+
+
+# ------------------------------------------------------------------------------------------------ association
+
+
+@pytest.mark.parametrize("jitter", [-0.002, 0.0, 0.0015])
+@pytest.mark.parametrize("filters", [1, 2])
+def test_filters_average_over_all_joint_assignments(jitter, filters):
+    """Two tracks want three bearings of one station: weights and moments from enumeration (e⁻⁹ apart, left out)."""
+    rng, std = np.random.default_rng(10), 0.0005
+    model = AssociationModel(gate_sigma=4.0, detection_probability=0.9, false_bearing_density=0.05)
+    miss, hit = model.log_costs()
+    angles, z = np.array([0.6, 0.613]), np.array([0.592, 0.6065 + jitter, 0.621])
+    distance = 2.5e4 + 800.0 * np.arange(filters)
+    mean = np.zeros((2, filters, 4))
+    mean[..., :2] = distance[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+    cov = np.broadcast_to(np.diag([250.0, 250.0, 20.0, 20.0]) ** 2, (2, filters, 4, 4))
+    weight = rng.dirichlet(np.ones(filters), size=2)
+    scan = Scan(z[None], np.ones((1, 3), bool), np.zeros((1, 2)), std)
+    branches = {
+        (j, i, k): update(Gaussian(mean[j, i], cov[j, i]), z[k], np.zeros(2), std)
+        for j, i, k in itertools.product(range(2), range(filters), range(3))
+    }
+
+    def joint(j, i, k):
+        """v_i L_i(k), detection and clutter included; k = −1 is a miss."""
+        factor = math.exp(branches[j, i, k].log_likelihood - hit) if k >= 0 else math.exp(-miss)
+        return weight[j, i] * factor
+
+    beta = np.zeros((2, 4))
+    for options in itertools.product(range(-1, 3), repeat=2):
+        if options[0] != options[1] or options[0] < 0:
+            share = math.prod(sum(joint(j, i, k) for i in range(filters)) for j, k in enumerate(options))
+            for j, k in enumerate(options):
+                beta[j, k] += share
+    beta /= beta.sum(1, keepdims=True)
+    assert (np.sort(beta)[:, -2] > 0.05).all()
+    found = average_and_update(mean, cov, np.log(weight), scan, model, 0.0)
+    for j, i in itertools.product(range(2), range(filters)):
+        w = np.array([beta[j, k] * joint(j, i, k) / sum(joint(j, h, k) for h in range(filters)) for k in range(-1, 3)])
+        states = [mean[j, i]] + [branches[j, i, k].posterior.mean for k in range(3)]
+        covs = [cov[j, i]] + [branches[j, i, k].posterior.cov for k in range(3)]
+        expected = moment_match(w / w.sum(), np.array(states), np.array(covs))
+        assert np.exp(found[2][j, i]) == pytest.approx(w.sum(), abs=1e-3)
+        np.testing.assert_allclose(found[0][j, i], expected.mean, rtol=1e-4, atol=0.5)
+        scale = np.sqrt(np.diag(expected.cov))
+        np.testing.assert_allclose(
+            found[1][j, i] / np.outer(scale, scale), expected.cov / np.outer(scale, scale), atol=3e-3
+        )
+
+
+def test_crossing_bearings_keep_their_tracks():
+    """Two targets whose bearings cross twice a minute apart, ranges known to 5 %: both tracks stay on their own."""
+    rng, tracker = np.random.default_rng(11), AdaptiveRpEkf(process_noise=2.0, maneuver_noise=2.0)
+    runs = 200
+    truth = np.array([[3e4, -1.5e3, 0.0, 120.0], [4.5e4, 1.5e3, 0.0, -120.0]])
+    spread = np.diag([1.5e3, 200.0, 20.0, 20.0])
+    start = truth + rng.standard_normal((runs, 2, 4)) @ spread
+    lead = (runs, 2, 1, 3)
+    state = ModelBank(
+        np.broadcast_to(start[:, :, None, None], (*lead, 4)).copy(),
+        np.broadcast_to(spread**2, (*lead, 4, 4)).copy(),
+        np.broadcast_to(np.log(stationary(tracker._models[0])), lead).copy(),
+    )
+    for _ in range(12):
+        truth = truth @ transition(STEP_S).T
+        z = bearing(truth, np.zeros(2)) + rng.normal(0.0, STD, (runs, 2))
+        z = np.sort(z, axis=-1)
+        scan = Scan(z[:, None], np.ones((runs, 1, 2), bool), np.zeros((1, 2)), STD)
+        state = tracker.update(tracker.predict(state, STEP_S), scan).posterior
+    mean, cov = tracker.estimate(state)
+    assert (np.sign(mean[:, 0, 1] - mean[:, 1, 1]) == np.sign(truth[0, 1] - truth[1, 1])).mean() > 0.97
+    assert nees(mean, cov, truth).mean() < 5.0
+
+
+def test_covariances_stay_positive_definite_in_a_crowd():
+    """150 scans: four targets wander across each other within 10 km of two stations, bearings missed and false."""
+    rng, runs = np.random.default_rng(13), 6
+    tracker = AdaptiveRpEkf(
+        floor_m=1e3, cap_m=3e4, model=AssociationModel(detection_probability=0.9, false_bearing_density=0.3)
+    )
+    truth = np.concatenate([rng.uniform(-8e3, 8e3, (runs, 4, 2)), rng.normal(0.0, 200.0, (runs, 4, 2))], axis=-1)
+    stations = np.array([[-3e3, 0.0], [3e3, 500.0]])
+    state = None
+    for _ in range(150):
+        truth = truth @ transition(STEP_S).T
+        truth[..., 2:] += rng.normal(0.0, 30.0, (runs, 4, 2)) - 1e-2 * truth[..., :2]
+        z = bearing(truth[:, None], stations[:, None]) + rng.normal(0.0, STD, (runs, 2, 4))
+        z = np.concatenate([z, rng.uniform(-math.pi, math.pi, (runs, 2, 2))], axis=-1)
+        valid = rng.random(z.shape) < np.array([0.9] * 4 + [0.5] * 2)
+        if state is None:
+            state = tracker.initiate(Scan(z[..., :4], np.ones((runs, 2, 4), bool), stations, STD))
+            continue
+        state = tracker.update(tracker.predict(state, STEP_S), Scan(z, valid, stations, STD)).posterior
+        for part in (*state, *tracker.estimate(state)):
+            assert np.isfinite(part).all()
+        np.testing.assert_allclose(state.model_probabilities.sum(-1), 1.0)
+        alive = state.log_weights > PRUNED
+        deviation = np.sqrt(np.diagonal(state.cov[alive], axis1=-2, axis2=-1))
+        assert np.linalg.eigvalsh(state.cov[alive] / deviation[:, :, None] / deviation[:, None, :]).min() > 0.0
+
+
+def test_averaging_refuses_more_than_two_stations():
+    bank = random_bank(np.random.default_rng(12), 1).flat()
+    three = Scan(np.zeros((3, 1)), np.ones((3, 1), bool), np.zeros((3, 2)), STD)
+    with pytest.raises(ValueError, match="one or two stations, got 3"):
+        average_and_update(*bank, three, AssociationModel(), 1e-3)
 
 
 # ------------------------------------------------------------------------------------------------ as a tracker
@@ -300,11 +408,3 @@ def test_it_is_known_by_name():
 def test_settings_that_cannot_be_are_refused(settings, words):
     with pytest.raises(ValueError, match=f"AdaptiveRpEkf.{words}"):
         AdaptiveRpEkf(**settings)
-
-
-def test_more_than_two_stations_are_refused():
-    tracker = AdaptiveRpEkf(model=AssociationModel())
-    state = tracker.initiate(scan_of([0.3]))
-    three = Scan(np.zeros((3, 1)), np.ones((3, 1), bool), np.zeros((3, 2)), STD)
-    with pytest.raises(ValueError, match="one or two stations, got 3"):
-        tracker.update(state, three)

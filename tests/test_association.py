@@ -14,7 +14,7 @@ from trackers.angles import wrap
 from trackers.association import PRUNED, AssociationModel, associate
 from trackers.measurement import bearing, bearing_jacobian
 from trackers.rp_ekf import Bank, update
-from trackers.soft_association import _scratch, branch_and_update
+from trackers.soft_association import branch_and_update, scratch
 from trackers.triangulation import admissible_crossings, crossing_ranges, pair_bearings
 
 STATIONS = np.array([[-9000.0, 500.0], [4000.0, 3000.0]])
@@ -197,14 +197,16 @@ def test_an_unambiguous_scan_branches_into_the_hard_assignment():
     log_w = np.log(rng.dirichlet(np.ones(3), size=3))
     z = bearing(truth, STATIONS[1]) + rng.normal(0.0, STD, 3)
     scan = Scan(z[None, ::-1].copy(), np.ones((1, 3), bool), STATIONS[1:], STD)
-    hard = update(Bank(mean, cov, log_w), z[:, None], np.ones((3, 1), bool), STATIONS[1:], STD, 1e-12).posterior
-    x, P, lw, own, _, _, assignment, _ = branch_and_update(mean, cov, log_w, scan, AssociationModel(), 1e-12)
+    hard_update = update(Bank(mean, cov, log_w), z[:, None], np.ones((3, 1), bool), STATIONS[1:], STD, 1e-12)
+    hard = hard_update.posterior
+    x, P, lw, own, _, _, assignment, evidence = branch_and_update(mean, cov, log_w, scan, AssociationModel(), 1e-12)
     np.testing.assert_array_equal(assignment[:, 0], [2, 1, 0])
     order = (-hard.log_weights).argsort(-1)
     np.testing.assert_allclose(x, np.take_along_axis(hard.mean, order[..., None], axis=1))
     np.testing.assert_allclose(P, np.take_along_axis(hard.cov, order[..., None, None], axis=1), rtol=1e-9)
     np.testing.assert_allclose(lw, np.take_along_axis(hard.log_weights, order, axis=1), atol=1e-9)
     np.testing.assert_allclose(own, lw, atol=1e-9)
+    np.testing.assert_allclose(evidence, hard_update.log_likelihood, rtol=1e-9)
 
 
 @pytest.mark.parametrize("jitter", [-0.002, -0.001, 0.0, 0.0005, 0.0015])
@@ -238,11 +240,12 @@ def test_branch_weights_are_the_marginals_of_all_joint_assignments(jitter):
 @pytest.mark.parametrize("slots", [1, 4])
 def test_scratch_has_room_for_every_size(hypotheses, tracks, slots):
     """A kernel that wrote past its scratch would damage memory unnoticed: the needs are stated here once more."""
-    options, k_opt, nu, S, line, marks, inside, x, P = _scratch((tracks, hypotheses, 4), 2, slots)
+    options, k_opt, nu, S, line, marks, inside, x, P = scratch((tracks, hypotheses, 4), 2, slots)
     branches = x.shape[0]
     assert branches >= hypotheses
     assert line.shape[1] > max(branches, tracks, 4)  # weights and own weights of branches; a state's difference
     assert marks.shape[1] > max(branches, tracks, slots)
+    assert line.shape[1] > (slots + 1) ** 2  # shares of a track's options
     assert options.shape == (tracks, (slots + 1) ** 2, 2 + hypotheses)
     assert (k_opt.shape[:2], nu.shape) == (options.shape[:2], (tracks, 2, hypotheses, slots))
     assert (S.shape, inside.shape, P.shape) == ((tracks, 6, hypotheses), (2, slots), (branches, 4, 4))

@@ -11,8 +11,10 @@ with its own process noise), and a Markov chain says how a target switches betwe
 Ranges never mix with each other: their weights are the paper's, models interact within a range only.
 Source: Blom and Bar-Shalom, IEEE Trans. Automatic Control 33(8), 1988; Bar-Shalom, Li and Kirubarajan, Estimation
 with Applications to Tracking and Navigation (2001), section 11.6.6 (IMM) and section 11.7.1 (turn at a known rate).
-Approximations: the IMM's (moment-matched mixing instead of all model histories), and association by the one best joint
-assignment of a scan, taken over all n · r filters of every track.
+Approximations: the IMM's (moment-matched mixing instead of all model histories) and those of `jpda`, which associates
+bearings and tracks over all n · r filters.
+Limits: averaging cannot take a traded bearing back. Where many crossings of two stations' bearings compete (ghosts),
+the branching bank of `RpEkf` with a large process noise tracks better.
 """
 
 from __future__ import annotations
@@ -24,13 +26,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.association import PRUNED, associate
+from trackers.association import PRUNED
 from trackers.compiled import helper, kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.hypotheses import clear_hypothesis
+from trackers.jpda import average_and_update
 from trackers.motion import turn_in_place
-from trackers.rp_ekf import Bank, RpEkf, estimate, update
+from trackers.rp_ekf import Bank, RpEkf, estimate
 
 
 class ModelBank(NamedTuple):
@@ -180,19 +183,14 @@ class AdaptiveRpEkf(RpEkf):
         return mix_and_predict(state, *self._models, step_s)
 
     def update(self, state: ModelBank, scan: Scan) -> Update:
-        """Give each track its bearings of the one best joint assignment, then condition all its filters on them."""
+        """Condition all filters on the returns they may have caused, weighed by the joint assignments (`jpda`)."""
         if self.reference_only:
             scan = scan.reference_only()
-        bank = state.flat()
-        found = associate(*bank, scan, self.model, self.second_order)
-        (mean, cov, log_weights), nu, S, log_likelihood = update(
-            bank, found.bearings, found.used, scan.stations[..., None, :, :], scan.bearing_std, self.prune_below,
-            self.second_order,
-        )  # fmt: skip
-        posterior = ModelBank(
-            mean.reshape(state.mean.shape), cov.reshape(state.cov.shape), log_weights.reshape(state.log_weights.shape)
+        *bank, nu, S, assignment, log_likelihood = average_and_update(
+            *state.flat(), scan, self.model, self.prune_below, self.second_order
         )
-        return Update(posterior, nu, S, log_likelihood, found.assignment)
+        posterior = ModelBank(*(part.reshape(before.shape) for part, before in zip(bank, state, strict=True)))
+        return Update(posterior, nu, S, log_likelihood, assignment)
 
     def estimate(self, state: ModelBank) -> Gaussian:
         """Mixture mean [..., m, 4] and covariance [..., m, 4, 4]."""

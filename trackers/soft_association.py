@@ -38,6 +38,39 @@ MAX_EXPONENT = 700.0
 
 
 @helper
+def weigh_options(x, P, lw, z, valid, stations, var, second_order, gate, miss, hit,
+                  c_opt, share, log_likelihood, k_opt, nu, S, line, marks, inside):  # fmt: skip
+    """List every track's options and weigh them by the joint assignments they take part in.
+
+    Fills `innovations`' and `list_options`' arrays for all tracks, share [m, o] ∝ β_j(o), and in `marks` the numbers
+    of options (row 3) and those of the best joint assignment (row 4).
+    """
+    n_tracks, two = lw.shape[0], z.shape[0] == 2
+    count, best = marks[3], marks[4]
+    for j in range(n_tracks):
+        innovations(x[j], P[j], lw[j], z, valid, stations, var, second_order, gate, nu[j], S[j], inside)
+        count[j] = list_options(lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j])
+    cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
+    clear = True
+    for j in range(n_tracks):
+        clear &= best[j] == 0 and (count[j] == 1 or c_opt[j, 1] - c_opt[j, 0] > SLACK)
+        for o in range(count[j]):
+            share[j, o] = 1.0 if o == best[j] else 0.0
+    if not clear:
+        share[:] = 0.0
+        walk_assignments(c_opt, k_opt, count, cost + SLACK, True, best, share, line, marks[:3])
+
+
+@helper
+def fixed_cost(ka, kb, two, hit, miss):
+    """What an option's returns (ka, kb) cost whatever the hypothesis: detections, misses and clutter."""
+    price = hit if ka >= 0 else miss
+    if two:
+        price += hit if kb >= 0 else miss
+    return price
+
+
+@helper
 def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option):
     """The heaviest (hypothesis, option) branches of one track, as many as `weight` has room for, heaviest first.
 
@@ -49,10 +82,7 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
     for o in range(count):
         if share[o] <= 0.0:
             continue
-        ka, kb = k_opt[o, 0], k_opt[o, 1]
-        price = hit if ka >= 0 else miss
-        if two:
-            price += hit if kb >= 0 else miss
+        price = fixed_cost(k_opt[o, 0], k_opt[o, 1], two, hit, miss)
         coupling = math.log(share[o]) + c_opt[o]
         for i in range(n):
             if lw[i] <= PRUNED:
@@ -72,7 +102,7 @@ def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_
 
 
 @helper
-def _update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, parent, option, x_out, P_out):
+def update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, parent, option, x_out, P_out):
     """Condition each kept branch's parent on the branch's returns; `nu` [s, n, b] holds the parents' innovations."""
     for i in range(kept):
         x_prior, P_prior = x[parent[i]], P[parent[i]]
@@ -161,7 +191,7 @@ def _keep_heaviest(x, P, lw, own, x_out, P_out, lw_out, own_out):
 
 
 @helper
-def _mixture_innovation(lw, nu, S, k, var):
+def mixture_innovation(lw, nu, S, k, var):
     """Mean and variance of the innovation of return k over a track's hypotheses; (0, σ²) for none."""
     if k < 0:
         return 0.0, var
@@ -174,11 +204,11 @@ def _mixture_innovation(lw, nu, S, k, var):
     return mean, max(second - mean * mean, var)
 
 
-def _scratch(shape: tuple[int, ...], stations: int, slots: int):
+def scratch(shape: tuple[int, ...], stations: int, slots: int):
     """Working arrays of one call for banks [..., m, n, 4]: allocating inside the kernel would dominate its time."""
     m, n = shape[-3:-1]
     options, room = (slots + 1) ** stations, ROOM * n
-    width = max(room, m, slots, 4) + 1
+    width = max(room, m, slots, options, 4) + 1
     return (
         np.empty((m, options, 2 + n)),
         np.empty((m, options, 3), dtype=np.int64),
@@ -200,37 +230,28 @@ def _scratch(shape: tuple[int, ...], stations: int, slots: int):
 def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune, merge_below, second_order,
                        options, k_opt, nu, S, line, marks, inside, x_branch, P_branch,
                        x_out, P_out, lw_out, own_out, nu_out, S_out, assignment, evidence):  # fmt: skip
-    """Inputs from `options` to `P_branch` are scratch (`_scratch`), shared by all items of a call."""
+    """Inputs from `options` to `P_branch` are scratch (`scratch`), shared by all items of a call."""
     n_tracks, n_stations = lw.shape[0], z.shape[0]
-    two = n_stations == 2
-    var = std * std
+    two, var = n_stations == 2, std * std
     c_opt, share, log_likelihood = options[:, :, 0], options[:, :, 1], options[:, :, 2:]
     room = x_branch.shape[0]
     weight, own, delta = line[2, :room], line[3, :room], line[4, :4]
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
+    weigh_options(
+        x, P, lw, z, valid, stations, var, second_order, gate, miss, hit,
+        c_opt, share, log_likelihood, k_opt, nu, S, line, marks, inside,
+    )  # fmt: skip
     for j in range(n_tracks):
-        innovations(x[j], P[j], lw[j], z, valid, stations, var, second_order, gate, nu[j], S[j], inside)
-        count[j] = list_options(lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j])
-    cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
-    clear = True
-    for j in range(n_tracks):
-        clear &= best[j] == 0 and (count[j] == 1 or c_opt[j, 1] - c_opt[j, 0] > SLACK)
-        for o in range(count[j]):
-            share[j, o] = 1.0 if o == best[j] else 0.0
-    if not clear:
-        share[:] = 0.0
-        walk_assignments(c_opt, k_opt, count, cost + SLACK, True, best, share, line, marks[:3])
-    for j in range(n_tracks):
-        evidence[j] = -c_opt[j, best[j]]
+        evidence[j] = fixed_cost(k_opt[j, best[j], 0], k_opt[j, best[j], 1], two, hit, miss) - c_opt[j, best[j]]
         for s in range(n_stations):
             k = k_opt[j, best[j], s]
             assignment[j, s] = k
-            nu_out[j, s], S_out[j, s] = _mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
+            nu_out[j, s], S_out[j, s] = mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
         kept = _select_branches(
             lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
             weight, own, parent, option,
         )  # fmt: skip
-        _update_branches(
+        update_branches(
             x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_branch, P_branch
         )
         lw_kept, own_kept = weight[:kept], own[:kept]
@@ -262,7 +283,7 @@ def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below, merg
         second_order: whether a bearing's curvature adds to its innovation variance (`measurement.update`).
     Returns:
         mean, cov, log weights and own log weights of the posterior banks; innovation, its variance and slot of the
-        best joint assignment [..., m, s]; log-likelihood ratio [..., m].
+        best joint assignment [..., m, s]; its log-likelihood [..., m].
     Raises:
         ValueError: for more than two stations.
     """
@@ -272,5 +293,5 @@ def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below, merg
     return _branch_and_update(
         mean, cov, own_log_weights, scan.bearings, scan.valid, scan.stations, scan.bearing_std,
         model.gate_sigma, miss, hit, log_threshold(prune_below), merge_below, second_order,
-        *_scratch(mean.shape, *scan.bearings.shape[-2:]),
+        *scratch(mean.shape, *scan.bearings.shape[-2:]),
     )  # fmt: skip
