@@ -31,7 +31,8 @@ class PassiveVectorEnv(VectorEnv):
         autoreset_mode: an `AutoresetMode` or its name; NEXT_STEP by default.
         threads: worker threads; None takes all cores, 1 none.
         render_mode: None or "rgb_array" (a tuple of pictures, one per sub-environment).
-        max_episode_steps: given by `gymnasium.make_vec`; overrides the scenario's steps.
+        max_episode_steps: given by `gymnasium.make_vec`; replaces the scenario's ``steps``. (`gymnasium.make` cuts
+            episodes of the usual length with its TimeLimit wrapper instead; to shorten both alike use ``steps``.)
         **fields: scenario fields to override.
     """
 

@@ -334,6 +334,17 @@ def test_evaluate_command_crosses_policies_with_trackers(tmp_path):
         found[tracker] = summary["policies"]["paper"]["final_range_error_m"]["mean"]
         assert found[tracker] == pytest.approx(direct.final.mean(), rel=1e-12)
     assert found["rp_ekf"] != found["fused_ekf"]
+    together = json.loads((tmp_path / "evaluation.json").read_text())["trackers"]
+    assert {name: part["policies"]["paper"]["final_range_error_m"]["mean"] for name, part in together.items()} == found
+    assert f"| paper | {found['rp_ekf']:.0f} (" in (tmp_path / "evaluation.md").read_text()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "reproduce"])
+def test_a_file_in_the_place_of_the_output_folder_is_refused_before_anything_is_flown(command, tmp_path, capsys):
+    (tmp_path / "taken").write_text("mine")
+    assert cli.main([command, "--out", str(tmp_path / "taken")]) == 2
+    assert f"--out {tmp_path / 'taken'}: is a file, must name a folder" in capsys.readouterr().err
+    assert (tmp_path / "taken").read_text() == "mine"
 
 
 def test_evaluate_command_flies_held_out_traffic(tmp_path):

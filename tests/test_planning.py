@@ -493,7 +493,7 @@ def test_only_the_oracle_is_shown_the_world_and_it_plans_on_the_true_paths():
 
 def test_the_oracle_is_no_teacher():
     with pytest.raises(ValueError, match="'oracle' looks at the truth"):
-        imitate(SimpleNamespace(), TwoStation(steps=2), "oracle", 2, 1, 1e-3, 0.1, 0)
+        imitate(SimpleNamespace(policy=None), TwoStation(steps=2), "oracle", 2, 1, 1e-3, 0.1, 0)
 
 
 # ------------------------------------------------------------------------------------------------ tuning

@@ -571,7 +571,7 @@ def test_range_crlb_is_the_information_form_bound_along_the_true_path(bearings, 
     for e, m in itertools.product(range(4), range(3)):
         truth = env.world.tape.targets[e, :, m]
         stations = np.array([p[e, :, :2] for p in platforms])
-        prior = np.linalg.inv(first_information(truth[0], stations[0], counted, std))
+        prior = np.linalg.inv(first_information(truth[0], stations[0], std))
         cov = posterior_bound_information(
             truth, stations[:, counted], prior, std / math.sqrt(detection_probability), 2.0, 15.0
         )
@@ -581,13 +581,13 @@ def test_range_crlb_is_the_information_form_bound_along_the_true_path(bearings, 
         np.testing.assert_allclose([b[e, m] for b in bound], expected, rtol=1e-5)
 
 
-def first_information(truth, stations, counted, std):
-    """Information [4, 4] of the radial and velocity prior and of the first bearings."""
+def first_information(truth, stations, std):
+    """Information [4, 4] of the radial and velocity prior and of all first bearings, which every filter uses."""
     information = np.diag([0.0, 0.0, 200.0**-2, 200.0**-2])
     line = truth[:2] - stations[1]
     u = line / np.linalg.norm(line)
     information[:2, :2] += np.outer(u, u) / 15e3**2
-    for station in stations[counted]:
+    for station in stations:
         line = truth[:2] - station
         distance = np.linalg.norm(line)
         across = np.array([-line[1], line[0]]) / distance
@@ -904,8 +904,42 @@ def test_an_object_without_one_of_the_verbs_is_a_type_error_that_names_it(verb):
 
 
 def test_a_tracker_that_is_no_object_of_the_kind_names_all_verbs():
+    with pytest.raises(TypeError, match=r"tracker is the class PlainEkf, must be an object"):
+        TwoStation(tracker=PlainEkf)
     with pytest.raises(TypeError, match="has no initiate, predict, update, estimate"):
         PassiveEnv(tracker=3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error", "message"),
+    [
+        (lambda mean, cov: (mean, cov), TypeError, r"Spoiled: estimate\(\) gave tuple, must give .*Gaussian"),
+        (
+            lambda mean, cov: Gaussian(mean[:, :1], cov[:, :1]),
+            ValueError,
+            r"must be \(\(1, 3, 4\)",
+        ),
+        (lambda mean, cov: Gaussian(mean, -cov), ValueError, "variances that are not positive"),
+        (lambda mean, cov: Gaussian(mean, np.nan * cov), ValueError, "variances that are not positive"),
+    ],
+    ids=["tuple", "a track too few", "negative", "nan"],
+)
+def test_a_trackers_first_estimate_is_checked(spoil, error, message):
+    class Spoiled(PlainEkf):
+        def estimate(self, state):
+            return spoil(*super().estimate(state))
+
+    with pytest.raises(error, match=message):
+        PassiveEnv(tracker=Spoiled()).reset(seed=0)
+
+
+def test_flights_are_checked_when_the_environment_is_made(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
+        gym.make("passive/TwoStation-v0", course="flights", flights=str(tmp_path / "nowhere.csv"))
+    with pytest.raises(ValueError, match=r"TwoStation\.flights = .*is not used with course='random'"):
+        gym.make_vec("passive/TwoStation-v0", num_envs=2, flights=str(tmp_path / "nowhere.csv"))
+    with pytest.raises(ValueError, match="5000"):
+        PassiveVectorEnv(course="flights", steps=5000)
 
 
 class Diverging(PlainEkf):

@@ -2,7 +2,8 @@
 
 Source: Xiu et al. (2002), eqs 11–38. Deviations, each stated where it is made: the weights live in the log domain,
 are renormalised after pruning, and the best hypothesis always stays; the state is absolute; any number of stations'
-bearings may enter an update; by default initial velocity has zero mean.
+bearings may enter an update; by default initial velocity has zero mean; `RpEkf` prunes at 1e-4 in place of 1e-3 (a
+right hypothesis that one scan speaks against comes back) and merges hypotheses that have become one.
 """
 
 from __future__ import annotations

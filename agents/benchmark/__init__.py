@@ -17,6 +17,7 @@ from agents.benchmark.filters import measure_monte_carlo, measure_rivals, measur
 from agents.benchmark.learning import measure_ppo
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, write_benchmark
 from agents.benchmark.timing import FULL, QUICK, Effort
+from agents.files import make_folder
 
 MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "bearing updates": measure_updates,
@@ -47,8 +48,8 @@ def run_benchmark(
     Raises:
         FileExistsError: `out` is a file.
     """
-    if out is not None and out.exists() and not out.is_dir():
-        raise FileExistsError(f"{out}: is a file; --out must name a folder")
+    if out is not None:
+        make_folder(out)
     results: list[Result] = []
     notes: list[str] = []
     with tqdm(measurements.items(), unit="measurement", leave=False) as bar:

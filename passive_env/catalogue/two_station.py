@@ -64,7 +64,14 @@ TABLE_1_RANGE_ERROR_KM = (
 
 @dataclass(frozen=True, kw_only=True)
 class TwoStation(BearingScenario):
-    """Two stations steer by turn rate; their tracker ranges up to six targets from unlabelled bearings."""
+    """Two stations steer by turn rate; their tracker ranges up to six targets from unlabelled bearings.
+
+    Drawn per episode, uniformly (course "random"): baseline length and direction; both stations' headings; the mean
+    line of sight from the reference; one course for all targets, each off it by up to ``course_spread_deg``; starts in
+    range, spacing and speed within the fields' limits. From one time between 10 s and ``maneuver_start_max_s`` (each
+    target up to ``maneuver_spread_s`` later) all targets turn to one side, left or right, at 5°/s for 4 s and
+    accelerate at 10 m/s² to ``final_speed_m_s`` ± 10 m/s, as in the paper.
+    """
 
     stations: ClassVar[int] = 2
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (("baseline_min_m", "baseline_max_m"), *BearingScenario.ordered)

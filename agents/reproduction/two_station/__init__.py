@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.files import make_folder
 from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
 from agents.reproduction.resampling import bootstrap_means, mean_interval
 from agents.reproduction.two_station.claims import BOUNDS_PAPER_KM, SCORE_LIMITS, all_claims
@@ -88,7 +89,11 @@ def reproduce_two_station(
         ValueError: runs or seeds that leave nothing to compute.
     """
     if runs < 1 or not seeds:
-        raise ValueError(f"reproduce_two_station: runs = {runs} and seeds = {tuple(seeds)}: need at least one of each")
+        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
+    if min(seeds) < 0:
+        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
+    if out is not None:
+        make_folder(out)
     noise, rng = draw_seeds(seeds, runs), np.random.default_rng([*seeds, runs])
     studies = {name: study(reading, noise) for name, reading in READINGS.items()}
     result = {
