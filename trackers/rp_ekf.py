@@ -134,7 +134,7 @@ def initiate(
     return Bank(*_initiate(bearing, station, bearing_std, *parts, radial_speed, velocity_std, _FOUR))
 
 
-@kernel("(n,x),(n,x,x),(n),(),()->(n,x),(n,x,x)")
+@kernel("(n,x),(n,x,x),(n),(),()->(n,x),(n,x,x)", "FFFffFF")
 def _predict(x, P, lw, T, q, x_out, P_out):
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:
@@ -207,7 +207,7 @@ def update(
     return BankUpdate(Bank(mean, cov, log_weights), nu, S, evidence)
 
 
-@kernel("(n,x),(n,x,x),(n)->(x),(x,x)")
+@kernel("(n,x),(n,x,x),(n)->(x),(x,x)", "FFFFF")
 def _estimate(x, P, lw, x_out, P_out):
     d = x.shape[1]
     x_out[:] = 0.0
