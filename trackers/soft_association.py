@@ -139,6 +139,16 @@ def update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, paren
 
 
 @helper
+def _near(x, P, other, merge_below):
+    """Whether each coordinate alone leaves a squared Mahalanobis distance within `merge_below` possible."""
+    for r in range(x.shape[0]):
+        delta = other[r] - x[r]
+        if delta * delta > merge_below * P[r, r]:
+            return False
+    return True
+
+
+@helper
 def _merge(x, P, lw, own, merge_below, delta):
     """Merge branches of one track that lie within `merge_below`, a squared Mahalanobis distance, of a heavier one.
 
@@ -153,12 +163,10 @@ def _merge(x, P, lw, own, merge_below, delta):
         for k in range(i + 1, n):
             if lw[k] <= PRUNED:
                 continue
-            near = True
+            if not _near(x[i], P[i], x[k], merge_below):
+                continue
             for r in range(d):
                 delta[r] = x[k, r] - x[i, r]
-                near &= delta[r] * delta[r] <= merge_below * P[i, r, r]
-            if not near:
-                continue
             if not factored:
                 L = cholesky_4(P[i])
                 factored = True
