@@ -34,17 +34,16 @@ def arc(speed, acceleration, turn_rate, h):
 def advance_in_place(state, acceleration, turn_rate, h):
     """Move a state [x, y, vx, vy] along an arc of h seconds."""
     speed = math.hypot(state[2], state[3])
-    heading = math.atan2(state[3], state[2])
+    c, s = (state[2] / speed, state[3] / speed) if speed > 0.0 else (1.0, 0.0)
     forward, left = arc(speed, acceleration, turn_rate, h)
-    c, s = math.cos(heading), math.sin(heading)
     state[0] += c * forward - s * left
     state[1] += s * forward + c * left
-    heading += turn_rate * h
-    speed += acceleration * h
-    state[2], state[3] = speed * math.cos(heading), speed * math.sin(heading)
+    turned, end = turn_rate * h, speed + acceleration * h
+    along, across = end * math.cos(turned), end * math.sin(turned)
+    state[2], state[3] = c * along - s * across, s * along + c * across
 
 
-@kernel("(s,x),(s),()->(s,x)")
+@kernel("(s,x),(s),()->(s,x)", "FFfF")
 def _turn(states, turn_rate, step_s, out):
     out[:] = states
     for i in range(states.shape[0]):

@@ -114,7 +114,7 @@ def _write_discs(discs, platforms, c, s, out, i):
     return i
 
 
-@kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(h,c),(d)->(d)", "ffffbffgg")
+@kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(h,c),(d)->(d)", "fFFFBFFgG")
 def _observe(time_left, platforms, mean, cov, assigned, last_action, discs, like, out):
     c, s = _mean_sight(platforms, mean)
     alone = platforms.shape[0] == 1 and mean.shape[0] == 1

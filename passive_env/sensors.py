@@ -29,7 +29,7 @@ class Sighting(NamedTuple):
 
 @kernel(
     "(k,m,x),(k,s,m),(k,s,m),(k,s,f),(k,s),(k,s,b),(),(s,x),(),()->(s,b),(s,b),(s,b),(m,x)",
-    "ffbfififfbfbif",
+    "FFBFIFiFfbFBIF",
 )
 def _sense(targets, noise, detected, false_bearings, false_count, order, k, platforms, std, in_order,
            bearings, valid, origin, truth):  # fmt: skip

@@ -117,6 +117,9 @@ def pair_log_likelihood(nu, S, i, ka, kb):
 @helper
 def _pair_cost(lw, nu, S, ka, kb, row):
     """−log of the mixture's likelihood of the returns (ka, kb); each hypothesis' own goes to row [n]."""
+    if ka < 0 and kb < 0:
+        row[:] = 0.0
+        return 0.0
     best, total = -math.inf, 0.0
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:

@@ -33,6 +33,7 @@ _COMPILING = threading.RLock()
 _CONFIG: Any = numba_config  # holds the folder where numba looks for cached machine code
 
 _TYPES = {"f": numba.float64, "i": numba.int64, "b": numba.boolean, "g": numba.float32}
+_DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_, "g": np.float32}
 
 # Division by zero must yield inf (to be handled), not raise from inside a batch.
 # A product and a sum may become one fused multiply-add: fewer roundings, and faster.
@@ -51,7 +52,8 @@ def kernel(layout: str, dtypes: str = "") -> Callable[[Callable[..., None]], Ker
     Args:
         layout: NumPy gufunc signature, e.g. ``"(n,x),(n,x,x),()->(n,x)"``.
         dtypes: one letter per argument, outputs last (``f`` float64, ``g`` float32, ``i`` int64,
-            ``b`` bool); all float64 if empty.
+            ``b`` bool); all float64 if empty. A capital letter says that the array lies in one piece in memory:
+            faster to index. Inputs that do not are copied; outputs, which NumPy makes, do.
     """
     return lambda function: Kernel(function, layout, dtypes)
 
@@ -66,6 +68,8 @@ class Kernel:
         self.__name__ = function.__name__
         self._function = function
         self._fixed = _fixed_axes(self.layout)
+        inputs = dtypes[: self.layout.split("->")[0].count("(")]
+        self._dense = [(place, _DTYPES[letter.lower()]) for place, letter in enumerate(inputs) if letter.isupper()]
         self._owner: Any = None  # keeps the machine code alive
         self._gufunc: Any = None
 
@@ -84,6 +88,11 @@ class Kernel:
             with _COMPILING, _own_cache():
                 self._compile()
         gufunc: Any = self._gufunc
+        if self._dense:
+            given = list(arrays)
+            for place, dtype in self._dense:
+                given[place] = np.ascontiguousarray(given[place], dtype)
+            return gufunc(*given, **options)
         return gufunc(*arrays, **options)
 
     def _compile(self) -> None:
@@ -116,8 +125,11 @@ def _fixed_axes(layout: str) -> list[tuple[int, int, int]]:
 
 
 def _array(letter: str, rank: int) -> Any:
-    scalar = _TYPES[letter]
-    return scalar if rank == 0 else scalar[(slice(None),) * rank]
+    scalar = _TYPES[letter.lower()]
+    if rank == 0:
+        return scalar
+    last = slice(None, None, 1) if letter.isupper() else slice(None)
+    return scalar[(*(slice(None),) * (rank - 1), last)]
 
 
 def _sources_digest() -> str:

@@ -134,7 +134,7 @@ def initiate(
     return Bank(*_initiate(bearing, station, bearing_std, *parts, radial_speed, velocity_std, _FOUR))
 
 
-@kernel("(n,x),(n,x,x),(n),(),()->(n,x),(n,x,x)")
+@kernel("(n,x),(n,x,x),(n),(),()->(n,x),(n,x,x)", "FFFffFF")
 def _predict(x, P, lw, T, q, x_out, P_out):
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:
@@ -207,33 +207,35 @@ def update(
     return BankUpdate(Bank(mean, cov, log_weights), nu, S, evidence)
 
 
-@kernel("(n,x),(n,x,x),(n)->(x),(x,x)")
+@kernel("(n,x),(n,x,x),(n)->(x),(x,x)", "FFFFF")
 def _estimate(x, P, lw, x_out, P_out):
-    d = x.shape[1]
-    x_out[:] = 0.0
-    P_out[:] = 0.0
-    alive = 0
-    last = 0
-    for i in range(lw.shape[0]):
+    n = lw.shape[0]
+    alive, only = 0, 0
+    a = b = c = d = 0.0
+    for i in range(n):
         if lw[i] > PRUNED:
-            alive += 1
-            last = i
+            alive, only = alive + 1, i
             w = math.exp(lw[i])
-            for r in range(d):
-                x_out[r] += w * x[i, r]
+            a, b, c, d = a + w * x[i, 0], b + w * x[i, 1], c + w * x[i, 2], d + w * x[i, 3]
     if alive == 1:
-        x_out[:] = x[last]
-        P_out[:] = P[last]
+        copy_hypothesis(x[only], P[only], x_out, P_out)
         return
-    for i in range(lw.shape[0]):
+    x_out[0], x_out[1], x_out[2], x_out[3] = a, b, c, d
+    p00 = p01 = p02 = p03 = p11 = p12 = p13 = p22 = p23 = p33 = 0.0
+    for i in range(n):
         if lw[i] > PRUNED:
             w = math.exp(lw[i])
-            for r in range(d):
-                for c in range(r, d):
-                    P_out[r, c] += w * (P[i, r, c] + (x[i, r] - x_out[r]) * (x[i, c] - x_out[c]))
-    for r in range(d):
-        for c in range(r):
-            P_out[r, c] = P_out[c, r]
+            e, f, g, h = x[i, 0] - a, x[i, 1] - b, x[i, 2] - c, x[i, 3] - d
+            p00, p01 = p00 + w * (P[i, 0, 0] + e * e), p01 + w * (P[i, 0, 1] + e * f)
+            p02, p03 = p02 + w * (P[i, 0, 2] + e * g), p03 + w * (P[i, 0, 3] + e * h)
+            p11, p12 = p11 + w * (P[i, 1, 1] + f * f), p12 + w * (P[i, 1, 2] + f * g)
+            p13, p22 = p13 + w * (P[i, 1, 3] + f * h), p22 + w * (P[i, 2, 2] + g * g)
+            p23, p33 = p23 + w * (P[i, 2, 3] + g * h), p33 + w * (P[i, 3, 3] + h * h)
+    P_out[0, 0], P_out[1, 1], P_out[2, 2], P_out[3, 3] = p00, p11, p22, p33
+    P_out[0, 1], P_out[0, 2], P_out[0, 3] = p01, p02, p03
+    P_out[1, 0], P_out[1, 2], P_out[1, 3] = p01, p12, p13
+    P_out[2, 0], P_out[2, 1], P_out[2, 3] = p02, p12, p23
+    P_out[3, 0], P_out[3, 1], P_out[3, 2] = p03, p13, p23
 
 
 def estimate(bank: Bank) -> Gaussian:

@@ -43,22 +43,35 @@ def weigh_options(x, P, lw, z, valid, stations, var, second_order, gate, miss, h
     """List every track's options and weigh them by the joint assignments they take part in.
 
     Fills `innovations`' and `list_options`' arrays for all tracks, share [m, o] ∝ β_j(o), and in `marks` the numbers
-    of options (row 3) and those of the best joint assignment (row 4).
+    of options (row 3) and those of the best joint assignment (row 4). Returns whether that one alone is plausible:
+    every track then has one option, its cheapest.
     """
     n_tracks, two = lw.shape[0], z.shape[0] == 2
     count, best = marks[3], marks[4]
     for j in range(n_tracks):
         innovations(x[j], P[j], lw[j], z, valid, stations, var, second_order, gate, nu[j], S[j], inside)
         count[j] = list_options(lw[j], nu[j], S[j], inside, two, hit, miss, c_opt[j], k_opt[j], log_likelihood[j])
-    cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
-    clear = True
+        best[j] = 0
+        share[j, 0], share[j, 1:] = 1.0, 0.0
+    clear = _disjoint(k_opt)
     for j in range(n_tracks):
-        clear &= best[j] == 0 and (count[j] == 1 or c_opt[j, 1] - c_opt[j, 0] > SLACK)
-        for o in range(count[j]):
-            share[j, o] = 1.0 if o == best[j] else 0.0
+        clear &= count[j] == 1 or c_opt[j, 1] - c_opt[j, 0] > SLACK
     if not clear:
+        cost = walk_assignments(c_opt, k_opt, count, math.inf, False, best, share, line, marks[:3])
         share[:] = 0.0
         walk_assignments(c_opt, k_opt, count, cost + SLACK, True, best, share, line, marks[:3])
+    return clear
+
+
+@helper
+def _disjoint(k_opt):
+    """Whether no two tracks' cheapest options take the same return: they are the best joint assignment then."""
+    for j in range(1, k_opt.shape[0]):
+        for i in range(j):
+            for s in range(2):
+                if k_opt[j, 0, s] >= 0 and k_opt[j, 0, s] == k_opt[i, 0, s]:
+                    return False
+    return True
 
 
 @helper
@@ -74,8 +87,8 @@ def fixed_cost(ka, kb, two, hit, miss):
 def _select_branches(lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option):
     """The heaviest (hypothesis, option) branches of one track, as many as `weight` has room for, heaviest first.
 
-    `lw` are own log weights before the scan; fills the branches' weights, own weights (not normalised), parents and
-    options; returns their number.
+    `lw` are own log weights before the scan; fills the branches' weights (an option's sum to its share), own weights
+    (not normalised), parents and options; returns their number.
     """
     n, room = lw.shape[0], weight.shape[0]
     kept = 0
@@ -126,6 +139,16 @@ def update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, paren
 
 
 @helper
+def _near(x, P, other, merge_below):
+    """Whether each coordinate alone leaves a squared Mahalanobis distance within `merge_below` possible."""
+    for r in range(x.shape[0]):
+        delta = other[r] - x[r]
+        if delta * delta > merge_below * P[r, r]:
+            return False
+    return True
+
+
+@helper
 def _merge(x, P, lw, own, merge_below, delta):
     """Merge branches of one track that lie within `merge_below`, a squared Mahalanobis distance, of a heavier one.
 
@@ -140,12 +163,10 @@ def _merge(x, P, lw, own, merge_below, delta):
         for k in range(i + 1, n):
             if lw[k] <= PRUNED:
                 continue
-            near = True
+            if not _near(x[i], P[i], x[k], merge_below):
+                continue
             for r in range(d):
                 delta[r] = x[k, r] - x[i, r]
-                near &= delta[r] * delta[r] <= merge_below * P[i, r, r]
-            if not near:
-                continue
             if not factored:
                 L = cholesky_4(P[i])
                 factored = True
@@ -191,6 +212,40 @@ def _keep_heaviest(x, P, lw, own, x_out, P_out, lw_out, own_out):
 
 
 @helper
+def _cut_tail(lw, own, kept, log_prune):
+    """Prune and renormalise `kept` branches of one option, heaviest first; returns how many are left."""
+    left = kept
+    while left > 1 and lw[left - 1] < log_prune:
+        left -= 1
+    total = 0.0
+    if left == 1:
+        lw[0] = 0.0
+    elif left < kept:
+        for i in range(left):
+            total += math.exp(lw[i])
+        for i in range(left):
+            lw[i] -= math.log(total)
+    for i in range(left):
+        own[i] = lw[i]
+    return left
+
+
+@helper
+def _close_gaps(x, P, lw, own, kept):
+    """Move what `_merge` left of the first `kept` branches to the front of the bank, clear the places behind."""
+    t = 0
+    for i in range(kept):
+        if lw[i] > PRUNED:
+            if t < i:
+                copy_hypothesis(x[i], P[i], x[t], P[t])
+                lw[t], own[t] = lw[i], own[i]
+            t += 1
+    for i in range(t, lw.shape[0]):
+        clear_hypothesis(x[i], P[i])
+        lw[i] = own[i] = PRUNED
+
+
+@helper
 def mixture_innovation(lw, nu, S, k, var):
     """Mean and variance of the innovation of return k over a track's hypotheses; (0, σ²) for none."""
     if k < 0:
@@ -225,7 +280,7 @@ def scratch(shape: tuple[int, ...], stations: int, slots: int):
 @kernel(
     "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b),(c,x),(c,x,x)"
     "->(m,n,x),(m,n,x,x),(m,n),(m,n),(m,s),(m,s),(m,s),(m)",
-    "ffffbfffffffbfifffibffffffffif",
+    "FFFfbfffffffbFIFFFIBFFFFFFFFIF",
 )
 def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_prune, merge_below, second_order,
                        options, k_opt, nu, S, line, marks, inside, x_branch, P_branch,
@@ -237,7 +292,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
     room = x_branch.shape[0]
     weight, own, delta = line[2, :room], line[3, :room], line[4, :4]
     count, best, parent, option = marks[3], marks[4], marks[5], marks[6]
-    weigh_options(
+    clear = weigh_options(
         x, P, lw, z, valid, stations, var, second_order, gate, miss, hit,
         c_opt, share, log_likelihood, k_opt, nu, S, line, marks, inside,
     )  # fmt: skip
@@ -247,6 +302,18 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             k = k_opt[j, best[j], s]
             assignment[j, s] = k
             nu_out[j, s], S_out[j, s] = mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
+        if clear:  # as many branches as hypotheses: they are made in their places
+            kept = _select_branches(
+                lw[j], log_likelihood[j], k_opt[j], share[j], 1, hit, miss, two, c_opt[j],
+                lw_out[j], own_out[j], parent, option,
+            )  # fmt: skip
+            kept = _cut_tail(lw_out[j], own_out[j], kept, log_prune)
+            update_branches(
+                x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_out[j], P_out[j]
+            )
+            _merge(x_out[j], P_out[j], lw_out[j, :kept], own_out[j, :kept], merge_below, delta)
+            _close_gaps(x_out[j], P_out[j], lw_out[j], own_out[j], kept)
+            continue
         kept = _select_branches(
             lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
             weight, own, parent, option,
