@@ -24,7 +24,7 @@ class Train:
     env: str = "passive/TwoStation-v0"
     """Environment id (see `passive-env list`)."""
     algo: str = "ppo"
-    """Learning algorithm."""
+    """Learning algorithm: ppo (imitates a teacher first), ppo_scratch, recurrent_ppo (LSTM, imitates first) or sac."""
     timesteps: int | None = None
     """Environment steps to train for; default from the preset."""
     seed: int = 0
@@ -140,7 +140,7 @@ def _benchmark(c: Benchmark) -> None:
 
 
 def _list(c: List) -> None:
-    from agents.learned import ALGORITHMS
+    from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
     from trackers import TRACKERS

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
+from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch.nn import functional
 
@@ -26,13 +27,14 @@ def imitate(
     noise: float,
     seed: int,
     critic: float = 0.0,
+    mirror: bool = False,
 ) -> float:
     """Fit the actor to a teacher's commands; returns the last loss.
 
     The loss is the mean square error of the actor's mean action, or of choices their mean negative log-likelihood.
 
     The teacher is flown through episodes in which its commands are disturbed, so that the actor also learns what to do
-    where the teacher alone would never have been.
+    where the teacher alone would never have been. A recurrent actor learns from whole flights, any other from steps.
 
     Args:
         model: an on-policy model (its policy has `get_distribution`); only its policy is changed.
@@ -45,32 +47,52 @@ def imitate(
         critic: weight of the critic's share of the loss: the mean square error of its values against the discounted
             rewards that the flights earned, over their variance. A critic that knows nothing would at first spoil
             what the actor has learned.
+        mirror: learn from the mirror image of every flight too, with left and right exchanged; a teacher that treats
+            the two sides alike would have flown it so.
     """
     policy: Any = model.policy
-    flights = _demonstrations(scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0))
-    x, y, earned = (torch.as_tensor(part).to(policy.device) for part in flights)
+    flights = _demonstrations(scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror)
+    length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
+    x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
     optimizer = torch.optim.Adam(policy.parameters(), learning_rate)
     choices = isinstance(model.action_space, spaces.MultiDiscrete)
     order = torch.Generator().manual_seed(seed)
     loss = torch.zeros(())
     spread = earned.var().clamp(min=1e-6)
     for _ in range(epochs):
-        for rows in torch.randperm(len(x), generator=order).split(BATCH):
-            actor = policy.get_distribution(x[rows])
-            loss = -actor.log_prob(y[rows]).mean() if choices else functional.mse_loss(actor.mode(), y[rows])
+        for rows in torch.randperm(len(x), generator=order).split(max(BATCH // length, 1)):
+            actor, values = _read(policy, x[rows])
+            commands = y[rows].flatten(0, 1)
+            loss = -actor.log_prob(commands).mean() if choices else functional.mse_loss(actor.mode(), commands)
             if critic > 0.0:
-                values = policy.predict_values(x[rows])[:, 0]
-                loss = loss + critic * functional.mse_loss(values, earned[rows]) / spread
+                loss = loss + critic * functional.mse_loss(values, earned[rows].flatten()) / spread
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
     return float(loss.detach())
 
 
+def _in_sequences(part: np.ndarray, length: int) -> torch.Tensor:
+    """Flights [k, e, …] as sequences [n, length, …]: of one step, or whole."""
+    flights = torch.as_tensor(part)
+    return flights.flatten(0, 1).unsqueeze(1) if length == 1 else flights.swapaxes(0, 1)
+
+
+def _read(policy: Any, x: torch.Tensor) -> tuple[Any, torch.Tensor]:
+    """Distribution of commands and values [n·k] along sequences of observations [n, k, d] that begin episodes."""
+    flat = x.flatten(0, 1)
+    if not isinstance(policy, RecurrentActorCriticPolicy):
+        return policy.get_distribution(flat), policy.predict_values(flat)[:, 0]
+    layers, _, hidden = policy.lstm_hidden_state_shape
+    fresh = torch.zeros(layers, len(x), hidden, device=x.device)
+    states, within = (fresh, fresh), torch.zeros(len(flat), device=x.device)
+    return policy.get_distribution(flat, states, within)[0], policy.predict_values(flat, states, within)[:, 0]
+
+
 def _demonstrations(
-    scenario: Any, teacher: str, episodes: int, noise: float, seed: int, gamma: float
+    scenario: Any, teacher: str, episodes: int, noise: float, seed: int, gamma: float, mirror: bool
 ) -> tuple[np.ndarray, ...]:
-    """Observations [n, d], the teacher's actions [n, a] and discounted rewards to go [n] along disturbed flights."""
+    """Disturbed flights: observations [k, e, d], the teacher's actions [k, e, a], discounted rewards to go [k, e]."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, _ = env.reset(seed=seed)
     policy = make_policy(teacher, scenario, seed)
@@ -84,11 +106,15 @@ def _demonstrations(
     for _ in range(scenario.steps):
         command = policy.act(env.belief(), observation)
         observations.append(observation)
-        commands.append(env.simulation.actions.encode(command))
+        commands.append(command)
         drift = 0.8 * drift + noise * rng.standard_normal(command.shape)
         disturbed = command + noise * rng.standard_normal(command.shape) + shaken * drift
         observation, reward, *_ = env.step(env.simulation.actions.encode(np.clip(disturbed, -1.0, 1.0)))
         rewards.append(reward)
     for k in range(len(rewards) - 2, -1, -1):
         rewards[k] = rewards[k] + gamma * rewards[k + 1]
-    return np.concatenate(observations), np.concatenate(commands), np.concatenate(rewards).astype(np.float32)
+    x, y, earned = np.array(observations), np.array(commands), np.array(rewards, dtype=np.float32)
+    if mirror:
+        x = np.concatenate([x, env.simulation.observation.mirrored(x)], axis=1)
+        y, earned = np.concatenate([y, -y], axis=1), np.concatenate([earned, earned], axis=1)
+    return x, env.simulation.actions.encode(y), earned

@@ -8,20 +8,49 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.algorithms import find_algorithm
 from passive_env.belief import Belief
 from passive_env.core import Simulation
-
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO}
-"""Stable-Baselines3 algorithms by the name `--algo` takes."""
 
 CONFIG, MODEL = "config.json", "model.zip"
 
 
-class LearnedPolicy:
-    """A trained model that steers by its deterministic action.
+class ModelPolicy:
+    """A model that steers by its deterministic action; a recurrent one remembers its episodes so far.
+
+    Args:
+        model: whose spaces are those of the environment.
+        simulation: that environment's parts.
+    """
+
+    def __init__(self, model: BaseAlgorithm, simulation: Simulation):
+        self._model = model
+        self._decode = simulation.actions.decode
+        self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the episodes before."""
+        self._memory = None
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, a] of observations [e, d].
+
+        Raises:
+            ValueError: a recurrent model in the middle of another number of episodes.
+        """
+        if self._memory is not None and self._memory[0].shape[1] != len(observation):
+            raise ValueError(
+                f"{len(observation)} observations, but {self._memory[0].shape[1]} episodes are remembered: "
+                "call reset() before other episodes"
+            )
+        actions, self._memory = self._model.predict(observation, self._memory, deterministic=True)
+        return self._decode(actions, len(observation))
+
+
+class LearnedPolicy(ModelPolicy):
+    """A trained model, checked against the environment it shall steer.
 
     Args:
         run: folder made by ``passive-env train``.
@@ -34,17 +63,9 @@ class LearnedPolicy:
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
         _check_fit(Path(run), config, environment, simulation)
-        self._model = load_model(Path(run) / MODEL, config["algo"])
-        _check_spaces(Path(run) / MODEL, self._model, simulation)
-        self._decode = simulation.actions.decode
-
-    def reset(self, belief: Belief) -> None:
-        """Nothing to remember."""
-
-    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, a] of observations [e, d]."""
-        actions, _ = self._model.predict(observation, deterministic=True)
-        return self._decode(actions, len(observation))
+        model = load_model(Path(run) / MODEL, config["algo"])
+        _check_spaces(Path(run) / MODEL, model, simulation)
+        super().__init__(model, simulation)
 
 
 def read_config(run: Path) -> dict[str, Any]:
@@ -73,12 +94,11 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
     Raises:
         FileNotFoundError: missing; ValueError: damaged file or unknown algorithm.
     """
-    if algo not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {algo!r}: known are {', '.join(ALGORITHMS)}")
+    learner = find_algorithm(algo).learner
     if not file.is_file():
         raise FileNotFoundError(f"{file}: no such model; has the training run been finished?")
     try:
-        return ALGORITHMS[algo].load(file, device=options.pop("device", "cpu"), **options)
+        return learner.load(file, device=options.pop("device", "cpu"), **options)
     except Exception as error:  # whatever Stable-Baselines3, zipfile, pickle and torch raise on foreign bytes
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(

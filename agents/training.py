@@ -2,7 +2,7 @@
 
 At every checkpoint the environment, torch and NumPy are seeded anew from (seed, steps so far). A run that was killed
 and resumed therefore ends with the same model as one that was not: what lies between two checkpoints depends on the
-saved model and that seed only.
+saved model and that seed only. A checkpoint of an off-policy learner holds its replay buffer.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from agents.algorithms import ALGORITHMS, find_algorithm
 from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
-from agents.learned import ALGORITHMS, CONFIG, MODEL, load_model, observation_digest, read_config
+from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
@@ -52,6 +53,8 @@ class Run:
         fields: scenario fields given by the user; they hold in training and evaluation.
         algo, seed, device, timesteps, envs: as on the command line.
         preset: the rest (`agents.presets`).
+    Raises:
+        ValueError: unknown algorithm, or one that cannot be trained so.
     """
 
     folder: Path
@@ -63,6 +66,11 @@ class Run:
     timesteps: int
     envs: int
     preset: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        refusal = find_algorithm(self.algo).refusal(self.preset, self.scenario.actions)
+        if refusal is not None:
+            raise ValueError(f"--algo {self.algo} {refusal}")
 
     @property
     def scenario(self) -> Any:
@@ -99,7 +107,7 @@ def plan(
     """Resolve a run: what is not given comes from the preset.
 
     Raises:
-        ValueError: unknown algorithm, or numbers that are not positive.
+        ValueError: unknown algorithm, one that does not suit the scenario, or numbers that are not positive.
     """
     if algo not in ALGORITHMS:
         raise ValueError(f"--algo {algo}: must be one of {', '.join(ALGORITHMS)}")
@@ -143,23 +151,24 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     env = Sb3VecEnv(
         PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
     )
-    model = _load_checkpoint(run, env) if resume and (run.folder / CHECKPOINT).exists() else _new_model(run, env)
+    model = _load_checkpoint(run, env) if resume and (run.folder / CHECKPOINT).exists() else new_model(run, env)
     if not resume:
         write_json(run.folder / CONFIG, run.to_dict())
     left = run.timesteps - model.num_timesteps
     if left > 0:
         model.learn(
-            left, callback=Checkpoints(run), reset_num_timesteps=False, progress_bar=progress, tb_log_name="log"
-        )
+            left, callback=Checkpoints(run), log_interval=ALGORITHMS[run.algo].log_interval(run.envs),
+            reset_num_timesteps=False, progress_bar=progress, tb_log_name="log",
+        )  # fmt: skip
     save_model(model, run.folder / MODEL)
     env.close()
     return run.folder / MODEL
 
 
-def save_model(model: BaseAlgorithm, file: Path) -> None:
-    """Save a model whole or not at all."""
+def save_model(model: BaseAlgorithm, file: Path, *include: str) -> None:
+    """Save a model whole or not at all, with attributes that Stable-Baselines3 leaves out unless they are named."""
     neighbour = file.with_name(f".{file.stem}.{os.getpid()}.tmp.zip")
-    model.save(neighbour)
+    model.save(neighbour, include=include)
     os.replace(neighbour, file)
 
 
@@ -186,7 +195,7 @@ class Checkpoints(BaseCallback):
             return
         if self.num_timesteps > 0:
             self._evaluate()
-            save_model(self.model, self._run.folder / CHECKPOINT)
+            save_model(self.model, self._run.folder / CHECKPOINT, "replay_buffer")
         self._next = self.num_timesteps + self._every
         reseed(self.model, training_seed(self._run.seed) + self.num_timesteps)
 
@@ -207,26 +216,11 @@ class Checkpoints(BaseCallback):
             for name in (known for known in REFERENCES if known in policy_names(scenario)):
                 record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
                 self._references[name] = float(record.final.mean())
-        record = fly(scenario, _Current(self.model, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
+        record = fly(scenario, ModelPolicy(self.model, Simulation(scenario)), EVALUATION_EPISODES, EVALUATION_SEED)
         error = float(record.final.mean())
         self.logger.record("eval/final_range_error_m", error)
         for name, reference in self._references.items():
             self.logger.record(f"eval/ratio_to_{name}", error / reference)
-
-
-class _Current:
-    """The model in training as a policy."""
-
-    def __init__(self, model: BaseAlgorithm, scenario: Any):
-        self._model = model
-        self._decode = Simulation(scenario).actions.decode
-
-    def reset(self, belief: Any) -> None:
-        """Nothing to remember."""
-
-    def act(self, belief: Any, observation: np.ndarray) -> np.ndarray:
-        """Deterministic commands."""
-        return self._decode(self._model.predict(observation, deterministic=True)[0], len(observation))
 
 
 def reseed(model: BaseAlgorithm, seed: int) -> None:
@@ -237,6 +231,7 @@ def reseed(model: BaseAlgorithm, seed: int) -> None:
     random.seed(seed)
     env = model.get_env()
     assert env is not None
+    model.action_space.seed(seed)  # off-policy learners begin with random actions
     env.seed(seed)
     learner._last_obs = env.reset()
     learner._last_episode_starts = np.ones(env.num_envs, dtype=bool)
@@ -247,20 +242,20 @@ def rollout_steps(run: Run) -> int:
     return run.scenario.steps * run.envs
 
 
-def _new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+    """The model that a run begins with: its networks untrained, or taught by the preset's teacher."""
     preset = run.preset
-    rate = preset["learning_rate"]
-    algorithm: Any = ALGORITHMS[run.algo]
-    model = algorithm(
-        "MlpPolicy",
+    algorithm = ALGORITHMS[run.algo]
+    learner: Any = algorithm.learner
+    model = learner(
+        algorithm.network,
         env,
         seed=run.seed,
         device=run.device,
-        learning_rate=LinearDecay(rate),
-        n_steps=run.scenario.steps,
+        learning_rate=LinearDecay(preset["learning_rate"]),
         policy_kwargs={"net_arch": list(preset["net_arch"]), **preset.get("policy", {})},
         tensorboard_log=str(run.folder / "tensorboard"),
-        **{**preset.get("arguments", {}), "batch_size": min(preset["arguments"]["batch_size"], rollout_steps(run))},
+        **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
     if "imitation" in preset:
         imitate(model, run.training_scenario, seed=training_seed(run.seed), **preset["imitation"])
@@ -279,7 +274,10 @@ class LinearDecay:
 
 
 def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
-    return load_model(run.folder / CHECKPOINT, run.algo, env=env, device=run.device)
+    model: Any = load_model(run.folder / CHECKPOINT, run.algo, env=env, device=run.device)
+    if not ALGORITHMS[run.algo].on_policy:
+        model.replay_buffer.device = model.device  # it still names the device of the run that saved it
+    return model
 
 
 def _check_same_run(run: Run) -> None:
@@ -294,7 +292,7 @@ def _check_same_run(run: Run) -> None:
 
 def versions() -> dict[str, str]:
     """Versions of everything that decides a result."""
-    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
+    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
     return {"python": platform.python_version(), **{name: _version(name) for name in names}}
 
 

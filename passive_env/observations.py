@@ -16,11 +16,19 @@ LIMIT = 5.0
 
 
 class Field(NamedTuple):
-    """One number of the observation: name, unit of the underlying quantity, and how it is scaled."""
+    """One number of the observation.
+
+    Attributes:
+        name: what it is.
+        unit: of the underlying quantity.
+        scale: how it is scaled.
+        odd: whether it changes its sign when left and right are exchanged.
+    """
 
     name: str
     unit: str
     scale: str
+    odd: bool = False
 
 
 @helper
@@ -147,6 +155,8 @@ class TrackObservation:
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self._like = np.empty(len(self.fields), dtype=np.float32)
         self._steps = float(steps)
+        self._mirror_of = _mirror_images(self.fields, targets)
+        self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
 
     def __call__(self, belief: Belief) -> Any:
         """Observation [e, d] float32 inside the space."""
@@ -155,39 +165,51 @@ class TrackObservation:
             belief.last_action, belief.discs, self._like,
         )  # fmt: skip
 
+    def mirrored(self, observation: np.ndarray) -> np.ndarray:
+        """Observations [..., d] of the mirrored worlds: left is right, and the tracks stand in reverse order."""
+        return self._mirror_sign * observation[..., self._mirror_of]
+
+
+def _mirror_images(fields: tuple[Field, ...], targets: int) -> list[int]:
+    """Index of every field's image in the mirror: tracks are numbered counter-clockwise, there clockwise."""
+    images = {f"track{m}": f"track{targets - 1 - m}" for m in range(targets)}
+    place = {field.name: i for i, field in enumerate(fields)}
+    names = (field.name.partition(".") for field in fields)
+    return [place[images.get(owner, owner) + dot + quantity] for owner, dot, quantity in names]
+
 
 def _fields(stations: int, targets: int, actions: int, discs: int):
     yield Field("time_left", "1", "share of the episode's steps")
     for s in range(stations):
         if s < stations - 1:
             yield Field(f"platform{s}.along", "m", "position relative to the reference platform along ψ / 20 km")
-            yield Field(f"platform{s}.across", "m", "the same, left of ψ / 20 km")
+            yield Field(f"platform{s}.across", "m", "the same, left of ψ / 20 km", odd=True)
         yield Field(f"platform{s}.heading_cos", "1", "cosine of heading − ψ")
-        yield Field(f"platform{s}.heading_sin", "1", "sine of heading − ψ")
+        yield Field(f"platform{s}.heading_sin", "1", "sine of heading − ψ", odd=True)
     for a in range(actions):
-        yield Field(f"last_action{a}", "1", "previous action")
+        yield Field(f"last_action{a}", "1", "previous action", odd=True)
     for m in range(targets):
         name = f"track{m}"
         yield Field(f"{name}.log_range", "m", "log(range from the reference / 50 km)")
         if stations > 1 or targets > 1:
             yield Field(f"{name}.bearing_cos", "1", "cosine of line of sight − ψ")
-            yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ")
+            yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ", odd=True)
         yield Field(f"{name}.radial_velocity", "m/s", "/ 300 m/s")
-        yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive")
+        yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive", odd=True)
         for s in range(stations - 1):
             yield Field(f"{name}.log_range{s}", "m", f"log(range from platform {s} / 50 km)")
-            yield Field(
-                f"{name}.crossing_sin{s}", "1", f"sine of the angle from the reference's to platform {s}'s line"
-            )
+            angle = f"sine of the angle from the reference's to platform {s}'s line"
+            yield Field(f"{name}.crossing_sin{s}", "1", angle, odd=True)
         axes = ("radial", "cross", "radial_velocity", "cross_velocity")
         for axis in axes:
             unit, size = ("m/s", "50 m/s") if "velocity" in axis else ("m", "1 km")
             yield Field(f"{name}.log_std_{axis}", unit, f"log(standard deviation / {size}) / 2")
         for i, first in enumerate(axes):
             for second in axes[i + 1 :]:
-                yield Field(f"{name}.corr_{first}_{second}", "1", "correlation coefficient")
+                odd = ("cross" in first) != ("cross" in second)
+                yield Field(f"{name}.corr_{first}_{second}", "1", "correlation coefficient", odd)
         for s in range(stations):
             yield Field(f"{name}.assigned{s}", "1", f"1 if platform {s}'s bearing updated the track")
     for d in range(discs):
         yield Field(f"disc{d}.along", "m", "centre of a no-go disc relative to the reference platform along ψ / 20 km")
-        yield Field(f"disc{d}.across", "m", "the same, left of ψ / 20 km")
+        yield Field(f"disc{d}.across", "m", "the same, left of ψ / 20 km", odd=True)

@@ -444,7 +444,7 @@ def test_flights_that_are_too_short_are_refused_with_their_length(tmp_path, caps
     ("arguments", "words"),
     [
         (["--env", "passive/Nowhere-v0"], ["passive/Nowhere-v0"]),
-        (["--algo", "sac"], ["--algo sac", "ppo"]),
+        (["--algo", "dreams"], ["--algo dreams", "ppo", "sac"]),
         (["--timesteps", "0"], ["--timesteps 0"]),
         (["--envs", "-8"], ["--envs -8"]),
         (["--episodes", "0"], ["--episodes 0"]),

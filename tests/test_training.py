@@ -330,8 +330,8 @@ def test_the_plan_takes_what_is_not_given_from_the_preset(tmp_path):
     preset = load_preset("TwoStation", "ppo")
     run = plan("TwoStation", tmp_path, envs=7)
     assert (run.envs, run.timesteps) == (7, preset["timesteps"])
-    with pytest.raises(ValueError, match="no preset for algorithm 'sac'"):
-        load_preset("TwoStation", "sac")
+    with pytest.raises(ValueError, match="no preset for algorithm 'dreams'"):
+        load_preset("TwoStation", "dreams")
 
 
 # ------------------------------------------------------------------------------------------------ kill and resume

@@ -16,7 +16,7 @@ from agents.benchmark.environments import SCENARIO
 from agents.benchmark.results import Result, Section
 from agents.benchmark.timing import Effort
 from agents.sb3 import Sb3VecEnv
-from agents.training import Run, _new_model, plan, rollout_steps
+from agents.training import Run, new_model, plan, rollout_steps
 from passive_env.vector_env import PassiveVectorEnv
 
 
@@ -45,7 +45,7 @@ def measure_ppo(effort: Effort) -> Section:
 def _time_rollouts(run: Run, rollouts: int) -> tuple[np.ndarray, np.ndarray]:
     """Wall time and time inside the environment [rollouts] s of every rollout but the first."""
     env = ClockedVecEnv(PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"))
-    model, clock = _new_model(run, env), _Clock(env)
+    model, clock = new_model(run, env), _Clock(env)
     model.learn((rollouts + 1) * rollout_steps(run), callback=clock, tb_log_name="log")
     clock.stamp()
     env.close()

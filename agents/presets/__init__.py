@@ -1,4 +1,4 @@
-"""Training presets, one TOML file per environment."""
+"""Training presets: a TOML file per family of scenarios (or for one of them), in it a section per algorithm."""
 
 from __future__ import annotations
 
@@ -6,15 +6,19 @@ import tomllib
 from importlib import resources
 from typing import Any
 
+from passive_env.catalogue import make_scenario
+
 
 def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
-    """Settings of an algorithm for a scenario.
+    """Settings of an algorithm for a scenario: from the scenario's own file, or else from its family's.
 
     Raises:
         ValueError: no preset of that name.
     """
-    file = resources.files(__name__) / f"{scenario_name}.toml"
-    presets = tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    family = type(make_scenario(scenario_name, {})).__name__
+    files = (resources.files(__name__) / f"{name}.toml" for name in (scenario_name, family))
+    texts = (file.read_text(encoding="utf-8") for file in files if file.is_file())
+    presets = tomllib.loads(next(texts, ""))
     if algo not in presets:
         raise ValueError(
             f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"

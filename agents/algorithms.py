@@ -1,0 +1,63 @@
+"""The learning algorithms by name, and all in which they differ. Their settings are the presets."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+
+class Algorithm(NamedTuple):
+    """A learner of Stable-Baselines3 or sb3-contrib.
+
+    Attributes:
+        learner: its class.
+        network: name of its policy class.
+        on_policy: it learns from whole episodes of all environments and forgets them. Otherwise it learns between steps
+            from a replay buffer, knows continuous actions only, and cannot imitate a teacher first.
+    """
+
+    learner: type[BaseAlgorithm]
+    network: str = "MlpPolicy"
+    on_policy: bool = True
+
+    def arguments(self, preset: dict[str, Any], steps: int, envs: int) -> dict[str, Any]:
+        """The learner's keyword arguments: the preset's, cut to episodes of so many steps in so many environments."""
+        given = dict(preset.get("arguments", {}))
+        if not self.on_policy:
+            return given
+        return {**given, "n_steps": steps, "batch_size": min(given["batch_size"], steps * envs)}
+
+    def log_interval(self, envs: int) -> int:
+        """Log once per episode of all environments; off-policy learners count episodes, the others rollouts."""
+        return 1 if self.on_policy else envs
+
+    def refusal(self, preset: dict[str, Any], actions: str) -> str | None:
+        """Why it cannot be trained with a preset on a scenario's kind of actions; None if it can."""
+        if not self.on_policy and actions != "continuous":
+            return f"cannot choose among actions={actions!r}, it needs actions='continuous'"
+        if not self.on_policy and "imitation" in preset:
+            return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
+        return None
+
+
+ALGORITHMS: dict[str, Algorithm] = {
+    "ppo": Algorithm(PPO),
+    "ppo_scratch": Algorithm(PPO),
+    "recurrent_ppo": Algorithm(RecurrentPPO, "MlpLstmPolicy"),
+    "sac": Algorithm(SAC, on_policy=False),
+}
+"""Algorithms by the name `--algo` takes; each has a section of that name in a scenario's preset."""
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """An algorithm by its name.
+
+    Raises:
+        ValueError: unknown.
+    """
+    if name not in ALGORITHMS:
+        raise ValueError(f"unknown algorithm {name!r}: known are {', '.join(ALGORITHMS)}")
+    return ALGORITHMS[name]
