@@ -11,6 +11,7 @@ from typing import Any
 from agents import pictures
 from agents.evaluation import COLLAPSE_M, COLLAPSE_NEES, Record, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
+from agents.maneuvers import Maneuvers, maneuvers
 
 METRICS = ("final_range_error_m", "mean_range_error_m")
 
@@ -25,13 +26,17 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
         {name: record.range_crlb_m.mean(0) for name, record in records.items()},
         title,
     )
-    geometry = pictures.geometry({name: record.paths for name, record in records.items()}, f"{title}: the first one")
+    paths = {name: record.paths for name, record in records.items()}
+    geometry = pictures.geometry(times, paths, f"{title}: the first one")
+    flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
+    platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [
         write_json(out / "evaluation.json", summary),
         atomic_write(out / "evaluation.csv", as_csv(summary)),
         write_text(out / "evaluation.md", as_markdown(summary)),
         save_figure(out / "range_error_over_time.png", over_time),
         save_figure(out / "geometry.png", geometry),
+        save_figure(out / "maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs")),
     ]
 
 
