@@ -52,6 +52,7 @@ class Record:
         off_sight_rad: [e, k + 1, s] each platform's course from its line of sight to the middle of the true targets,
             left positive, in [−π, π].
         turns: [e, k, s] turn commands flown, as shares of the limit, left positive.
+        standoff, nogo: [e] share of the steps that end with a platform inside a stand-off ring, a no-go disc.
     """
 
     range_error_m: np.ndarray
@@ -63,6 +64,8 @@ class Record:
     nees: np.ndarray
     off_sight_rad: np.ndarray
     turns: np.ndarray
+    standoff: np.ndarray
+    nogo: np.ndarray
 
     @property
     def final(self) -> np.ndarray:
@@ -127,6 +130,8 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         "nees": info["nees"],
         "off_sight_rad": instants.off_sight_rad,
         "turns": instants.turns[:, 1:],
+        "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
+        "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
         "seconds": seconds,
         "paths": _first_paths(instants, env.world, scenario.standoff_m),
     }
@@ -141,6 +146,8 @@ class _Instant(NamedTuple):
     estimates: Any
     off_sight_rad: Any
     turns: Any
+    standoff_violation: Any
+    nogo_violation: Any
 
 
 def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
@@ -149,7 +156,7 @@ def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
     return _Instant(
         info["range_error_m"], info["range_crlb_m"], world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
         wrap(course - line_of_sight(world.platforms, world.truth)).astype(np.float32),
-        np.asarray(world.last_action, dtype=np.float32),
+        np.asarray(world.last_action, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
     )  # fmt: skip
 
 
@@ -203,6 +210,8 @@ def _figures(record: Record) -> dict[str, Any]:
         "mean_range_error_m": _statistics(record.mean),
         "lost_share": float(record.lost.mean()),
         "collapse_share": float(record.collapsed.mean()),
+        "standoff_share": float(record.standoff.mean()),
+        "nogo_share": float(record.nogo.mean()),
         "final_nees": _statistics(record.nees),
         "final_nees_in_band_share": float(((record.nees >= NEES_BAND[0]) & (record.nees <= NEES_BAND[1])).mean()),
         "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),

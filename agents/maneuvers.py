@@ -135,7 +135,11 @@ def _sheet(count: int) -> tuple[Figure, list[tuple[Axes, ...]]]:
 
 
 def _label(stack: list[Axes], leftmost: bool) -> None:
-    labels = (("", "angle off line\nof sight [°]"), ("time [s]", "on first\nside [%]"), ("leg [s]", "legs per\nepisode"))
+    labels = (
+        ("", "angle off line\nof sight [°]"),
+        ("time [s]", "on first\nside [%]"),
+        ("leg [s]", "legs per\nepisode"),
+    )
     for axes, (x_label, y_label) in zip(stack, labels, strict=True):
         style_diagram(axes, x_label, y_label if leftmost else "")
         axes.tick_params(labelleft=leftmost)

@@ -213,9 +213,10 @@ def _common_errors_km(paths: Mapping[str, EpisodePaths]) -> tuple[float, float]:
 
 def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[float, float]) -> None:
     axes.set_ylim(*limits)
+    line: dict[str, Any] = ERROR_LINE if np.shape(episode.range_error_m)[1] == 1 else ERROR_LINE | {"linewidth": 1.4}
     errors = zip(np.transpose(episode.range_error_m), np.transpose(episode.range_crlb_m), strict=True)
     for j, (error, bound) in enumerate(errors):
-        axes.plot(time_s, 1e-3 * error, color=series_color(j), **ERROR_LINE)
+        axes.plot(time_s, 1e-3 * error, color=series_color(j), **line)
         axes.plot(time_s, 1e-3 * bound, color=series_color(j), **BOUND_LINE)
     axes.set_xlim(time_s[0], max(time_s[-1], time_s[0] + 1.0))
     _log_ticks(axes.yaxis, axes.set_yscale)
