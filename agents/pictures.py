@@ -175,6 +175,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes], list[Axes]]:
     columns = {1: 1, 2: 2, 4: 2, 7: 4, 8: 4}.get(count, 3)
     rows = math.ceil(count / columns)
     left, right, bottom, top, between, title, gap = 0.75, 0.2, 1.2, 0.4, 0.35, 0.4, 0.65
+    bottom += 0.4 * (count == 1)  # a narrow legend is a high one
     row_height, row_gap = title + PANEL_IN + gap + DIAGRAM_IN, 0.6
     width = left + columns * (PANEL_IN + between) - between + right
     figure = Figure(figsize=(width, bottom + rows * (row_height + row_gap) - row_gap + top), dpi=DPI)
