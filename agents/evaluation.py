@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import bootstrap, chi2
@@ -17,8 +17,10 @@ from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
+from agents.prediction import line_of_sight
 from passive_env.core import World
 from passive_env.vector_env import PassiveVectorEnv
+from trackers.angles import wrap
 
 BLOCK = 1024
 """Episodes flown at once."""
@@ -47,6 +49,10 @@ class Record:
         decision_time_us: wall time of a decision per step and episode, in batches.
         paths: the first episode's geometry.
         nees: [e, m] normalised estimation error squared of every track at the end.
+        off_sight_rad: [e, k + 1, s] each platform's course from its line of sight to the middle of the true targets,
+            left positive, in [−π, π].
+        turns: [e, k, s] turn commands flown, as shares of the limit, left positive.
+        standoff, nogo: [e] share of the steps that end with a platform inside a stand-off ring, a no-go disc.
     """
 
     range_error_m: np.ndarray
@@ -56,6 +62,10 @@ class Record:
     decision_time_us: float
     paths: EpisodePaths
     nees: np.ndarray
+    off_sight_rad: np.ndarray
+    turns: np.ndarray
+    standoff: np.ndarray
+    nogo: np.ndarray
 
     @property
     def final(self) -> np.ndarray:
@@ -95,12 +105,9 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
-    errors, bounds = [info["range_error_m"].mean(-1)], [info["range_crlb_m"].mean(-1)]
-    world = env.world
-    stations, estimates = [world.platforms[0, :, :2]], [world.estimate.mean[0, :, :2]]
-    shares = [info["range_error_m"][0]]
+    log = [_instant(env.world, info)]
     belief, seconds = env.belief(), 0.0
-    _show(policy, world)
+    _show(policy, env.world)
     policy.reset(belief)
     encode = env.simulation.actions.encode
     for _ in range(scenario.steps):
@@ -108,29 +115,58 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         commands = policy.act(belief, observation)
         seconds += time.perf_counter() - start
         observation, _, _, _, info = env.step(encode(commands))
-        belief, world = env.belief(), env.world
-        _show(policy, world)
-        errors.append(info["range_error_m"].mean(-1))
-        bounds.append(info["range_crlb_m"].mean(-1))
-        stations.append(world.platforms[0, :, :2])
-        estimates.append(world.estimate.mean[0, :, :2])
-        shares.append(info["range_error_m"][0])
+        belief = env.belief()
+        _show(policy, env.world)
+        log.append(_instant(env.world, info))
     if progress is not None:
         progress.update(episodes)
-    targets = world.tape.targets[0, :, :, :2]
-    paths = EpisodePaths(
-        np.array(stations), targets, np.array(estimates), world.estimate.cov[0, :, :2, :2], np.array(shares)
-    )
+    instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > COLLAPSE_NEES)
     return {
-        "range_error_m": np.array(errors).T,
-        "range_crlb_m": np.array(bounds).T,
+        "range_error_m": instants.range_error_m.mean(-1),
+        "range_crlb_m": instants.range_crlb_m.mean(-1),
         "lost": info["lost"].mean(-1),
         "collapsed": collapsed.mean(-1),
         "nees": info["nees"],
+        "off_sight_rad": instants.off_sight_rad,
+        "turns": instants.turns[:, 1:],
+        "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
+        "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
         "seconds": seconds,
-        "paths": paths,
+        "paths": _first_paths(instants, env.world, scenario.standoff_m),
     }
+
+
+class _Instant(NamedTuple):
+    """What is kept of e episodes at one instant; stacked along axis 1 it is kept of all instants."""
+
+    range_error_m: Any
+    range_crlb_m: Any
+    stations: Any
+    estimates: Any
+    off_sight_rad: Any
+    turns: Any
+    standoff_violation: Any
+    nogo_violation: Any
+
+
+def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
+    """Of the platforms' and estimates' positions the first episode's only: they are for a picture."""
+    course = np.arctan2(world.platforms[..., 3], world.platforms[..., 2])
+    return _Instant(
+        info["range_error_m"], info["range_crlb_m"], world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
+        wrap(course - line_of_sight(world.platforms, world.truth)).astype(np.float32),
+        np.asarray(world.last_action, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
+    )  # fmt: skip
+
+
+def _first_paths(instants: _Instant, world: World, standoff_m: float) -> EpisodePaths:
+    """The first episode's geometry; world: its end."""
+    return EpisodePaths(
+        instants.stations[0], world.tape.targets[0, :, :, :2], instants.estimates[0],
+        world.estimate.cov[0, :, :2, :2], instants.range_error_m[0], instants.range_crlb_m[0], world.tape.discs[0],
+        standoff_m,
+    )  # fmt: skip
 
 
 def _show(policy: Policy, world: World) -> None:
@@ -174,6 +210,8 @@ def _figures(record: Record) -> dict[str, Any]:
         "mean_range_error_m": _statistics(record.mean),
         "lost_share": float(record.lost.mean()),
         "collapse_share": float(record.collapsed.mean()),
+        "standoff_share": float(record.standoff.mean()),
+        "nogo_share": float(record.nogo.mean()),
         "final_nees": _statistics(record.nees),
         "final_nees_in_band_share": float(((record.nees >= NEES_BAND[0]) & (record.nees <= NEES_BAND[1])).mean()),
         "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),

@@ -21,7 +21,9 @@ from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, curve_color, series
 
 DPI = 150
 PANEL_IN = 4.4
-"""Width and height of one panel of `geometry`."""
+"""Width and height of one map of `geometry`."""
+DIAGRAM_IN = 1.5
+"""Height of the diagram below it."""
 ERROR_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 2.0}
 BOUND_LINE: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.2}
 LABEL_GAP = 0.06
@@ -37,6 +39,9 @@ class EpisodePaths(NamedTuple):
         estimates: [k + 1, m, 2] m, estimated positions.
         final_cov: [m, 2, 2] m², position covariances of the last estimates.
         range_error_m: [k + 1, m] |estimated − true range| from the reference.
+        range_crlb_m: [k + 1, m] posterior Cramér–Rao bound on the range, a standard deviation.
+        discs: [d, 3] no-go discs: centre x, y and radius [m].
+        standoff_m: radius of the targets' stand-off rings, 0 for none.
     """
 
     stations: Any
@@ -44,6 +49,9 @@ class EpisodePaths(NamedTuple):
     estimates: Any
     final_cov: Any
     range_error_m: Any
+    range_crlb_m: Any
+    discs: Any = np.empty((0, 3))
+    standoff_m: float = 0.0
 
 
 # -- range error over time ---------------------------------------------------------------------------------------------
@@ -76,10 +84,13 @@ def range_error_over_time(
     axes.set_xlim(time_s[0], time_s[-1])
     _label_ends(axes, time_s[-1], {name: 1e-3 * float(error[-1]) for name, error in curves.items()})
     if bound:
-        samples = [("range error", ERROR_LINE), ("Cramér–Rao bound, 1σ", BOUND_LINE)]
-        lines = [Line2D([], [], color=MUTED, label=name, **style) for name, style in samples]
-        axes.legend(handles=lines, loc="best", fontsize=9, frameon=True, edgecolor="none", labelcolor=INK)
+        axes.legend(handles=_error_samples(), loc="best", fontsize=9, frameon=True, edgecolor="none", labelcolor=INK)
     return figure
+
+
+def _error_samples() -> list[Line2D]:
+    samples = [("range error", ERROR_LINE), ("Cramér–Rao bound, 1σ", BOUND_LINE)]
+    return [Line2D([], [], color=MUTED, label=name, **style) for name, style in samples]
 
 
 def _check_curves(time_s: Any, curves: Mapping[str, Any], bound: Mapping[str, Any]) -> None:
@@ -114,59 +125,110 @@ def _label_ends(axes: Axes, at: float, ends_km: Mapping[str, float]) -> None:
 # -- geometry ----------------------------------------------------------------------------------------------------------
 
 
-def geometry(paths: Mapping[str, EpisodePaths], title: str) -> Figure:
-    """Paths of stations and targets and the final estimates, one panel per policy, all on the same axes.
+def geometry(time_s: Any, paths: Mapping[str, EpisodePaths], title: str) -> Figure:
+    """Paths of stations and targets and the final estimates; below, range error and Cramér–Rao bound over time.
+
+    One panel per policy, all maps on the same axes and all diagrams on the same axes.
 
     Args:
+        time_s: [k + 1] s.
         paths: per policy, one episode; same tape, so that the panels differ by the policy only.
         title: of the figure.
     Raises:
-        ValueError: no policy.
+        ValueError: no policy, or range errors or bounds of another shape than [k + 1, m].
     """
-    if not paths:
-        raise ValueError("paths: needs at least one policy")
-    figure, panels = _panels(len(paths))
-    frame = _common_frame(paths)
-    for axes, (name, episode) in zip(panels, paths.items(), strict=True):
+    _check_paths(time_s, paths)
+    figure, maps, diagrams = _panels(len(paths))
+    frame, limits = _common_frame(paths), _common_errors_km(paths)
+    for axes, below, (name, episode) in zip(maps, diagrams, paths.items(), strict=True):
         _panel(axes, episode, frame)
+        _errors_below(below, time_s, episode, limits)
         final = render.kilometres(np.mean(episode.range_error_m[-1]))
-        axes.set_title(f"{name}\nmean range error at the end {final}", fontsize=10.5, color=INK)
-    figure.suptitle(title, fontsize=12.5, color=INK, y=1.0 - 0.12 / figure.get_figheight(), va="top")
-    figure.legend(
-        handles=render.legend_samples(hypotheses=False)[:4], loc="lower center", ncols=2 if len(paths) == 1 else 4,
-        fontsize=9, frameon=False, labelcolor=INK,
-    )  # fmt: skip
+        axes.set_title(f"{name}: {final} off at the end", fontsize=11.5, color=INK)
+    figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.12 / figure.get_figheight(), va="top")
+    samples = _geometry_samples(next(iter(paths.values())))
+    columns = min(len(samples), int(figure.get_figwidth() / 2.3))
+    figure.legend(handles=samples, loc="lower center", ncols=columns, fontsize=9.5, frameon=False, labelcolor=INK)
     return figure
 
 
-def _panels(count: int) -> tuple[Figure, list[Axes]]:
-    """A figure of equal square panels, laid out in inches; only outer panels carry tick labels."""
-    columns = {1: 1, 2: 2, 4: 2}.get(count, 3)
+def _check_paths(time_s: Any, paths: Mapping[str, EpisodePaths]) -> None:
+    if not paths:
+        raise ValueError("paths: needs at least one policy")
+    for name, episode in paths.items():
+        wanted = (len(time_s), np.shape(episode.targets)[1])
+        for field in ("range_error_m", "range_crlb_m"):
+            if np.shape(getattr(episode, field)) != wanted:
+                found = np.shape(getattr(episode, field))
+                raise ValueError(f"paths[{name!r}].{field} has shape {found}, must be [instants, targets] = {wanted}")
+
+
+def _geometry_samples(episode: EpisodePaths) -> list[Any]:
+    several = np.shape(episode.stations)[1] > 1
+    samples = render.legend_samples(hypotheses=False, reference=several)[:4]
+    samples += render.zone_samples(len(episode.discs) > 0, episode.standoff_m > 0.0)
+    return [*samples, *_error_samples()]
+
+
+def _panels(count: int) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A figure of equal square maps, each with a diagram below, laid out in inches; only outer ones carry labels."""
+    columns = {1: 1, 2: 2, 4: 2, 7: 4, 8: 4}.get(count, 3)
     rows = math.ceil(count / columns)
-    left, right, bottom, top, between, title = 0.65, 0.15, 0.95, 0.35, 0.2, 0.5
+    left, right, bottom, top, between, title, gap = 0.75, 0.2, 1.2, 0.4, 0.35, 0.4, 0.65
+    bottom += 0.4 * (count == 1)  # a narrow legend is a high one
+    row_height, row_gap = title + PANEL_IN + gap + DIAGRAM_IN, 0.6
     width = left + columns * (PANEL_IN + between) - between + right
-    height = bottom + rows * (PANEL_IN + title) + top
-    figure = Figure(figsize=(width, height), dpi=DPI)
-    panels = []
+    figure = Figure(figsize=(width, bottom + rows * (row_height + row_gap) - row_gap + top), dpi=DPI)
+    maps, diagrams = [], []
     for i in range(count):
         row, column = divmod(i, columns)
-        x = left + column * (PANEL_IN + between)
-        y = bottom + (rows - 1 - row) * (PANEL_IN + title)
-        axes = figure.add_axes((x / width, y / height, PANEL_IN / width, PANEL_IN / height))
+        x, y = left + column * (PANEL_IN + between), bottom + (rows - 1 - row) * (row_height + row_gap)
+        axes = axes_at(figure, x, y + DIAGRAM_IN + gap, PANEL_IN, PANEL_IN)
         render.style_axes(axes)
+        below = axes_at(figure, x, y, PANEL_IN, DIAGRAM_IN)
+        style_diagram(below, "time [s]", "range error [km]")
         if column > 0:
-            axes.tick_params(labelleft=False)
-            axes.set_ylabel("")
-        if row < rows - 1:
-            axes.tick_params(labelbottom=False)
-            axes.set_xlabel("")
-        panels.append(axes)
-    return figure, panels
+            _hide_left_labels(axes, below)
+        if i + columns < count:
+            below.set_xlabel("")
+        maps.append(axes)
+        diagrams.append(below)
+    return figure, maps, diagrams
+
+
+def _hide_left_labels(*panels: Axes) -> None:
+    for axes in panels:
+        axes.tick_params(labelleft=False)
+        axes.set_ylabel("")
+
+
+def _common_errors_km(paths: Mapping[str, EpisodePaths]) -> tuple[float, float]:
+    """Limits [km] that hold all bounds and the errors that are not near one of their passages through zero."""
+    drawn = [np.ravel(part) for episode in paths.values() for part in (episode.range_error_m, episode.range_crlb_m)]
+    values = 1e-3 * np.concatenate(drawn)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if not len(values):
+        return 0.1, 10.0
+    return max(0.7 * np.percentile(values, 2.0), 1e-3), 1.4 * values.max()
+
+
+def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[float, float]) -> None:
+    axes.set_ylim(*limits)
+    line: dict[str, Any] = ERROR_LINE if np.shape(episode.range_error_m)[1] == 1 else ERROR_LINE | {"linewidth": 1.4}
+    errors = zip(np.transpose(episode.range_error_m), np.transpose(episode.range_crlb_m), strict=True)
+    for j, (error, bound) in enumerate(errors):
+        axes.plot(time_s, 1e-3 * error, color=series_color(j), **line)
+        axes.plot(time_s, 1e-3 * bound, color=series_color(j), **BOUND_LINE)
+    axes.set_xlim(time_s[0], max(time_s[-1], time_s[0] + 1.0))
+    _log_ticks(axes.yaxis, axes.set_yscale)
+    axes.set_ylim(*limits)
 
 
 def _common_frame(paths: Mapping[str, EpisodePaths]) -> render.Frame:
-    """A square that holds all platforms and true targets of all episodes; estimates may fall outside."""
+    """A square that holds all platforms, true targets and discs of all episodes; estimates may fall outside."""
+    discs = next(iter(paths.values())).discs
     tracks = [path for episode in paths.values() for path in (episode.stations, episode.targets)]
+    tracks.append(render.circles(discs[:, :2], discs[:, 2]))
     return render.grow(None, 1e-3 * np.concatenate([np.reshape(path, (-1, 2)) for path in tracks]), 1.0)
 
 
@@ -174,6 +236,11 @@ def _panel(axes: Axes, episode: EpisodePaths, frame: render.Frame) -> None:
     stations, targets, estimates = (np.asarray(path) for path in episode[:3])
     colors = [series_color(j) for j in range(targets.shape[1])]
     render.set_limits(axes, frame)
+    render.add_discs(axes).set_verts(list(1e-3 * render.circles(episode.discs[:, :2], episode.discs[:, 2])))
+    if episode.standoff_m > 0.0:
+        rings_about = render.add_lines(axes, colors, 1.2, alpha=0.8)
+        rings_about.set_linestyle(render.RING_LINE)
+        rings_about.set_segments(list(1e-3 * render.circles(targets[-1], episode.standoff_m)))
     render.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(_segments(stations))
     render.add_lines(axes, colors, 1.8).set_segments(_segments(targets))
     render.add_ellipses(axes, colors).set_verts(list(1e-3 * render.ellipses(estimates[-1], episode.final_cov)))
@@ -266,16 +333,27 @@ def ratio_chart(ratios: Mapping[str, tuple[float, float, float]], title: str) ->
 # -- axes --------------------------------------------------------------------------------------------------------------
 
 
+def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """New axes at a place given in inches."""
+    w, h = figure.get_size_inches()
+    return figure.add_axes((left / w, bottom / h, width / w, height / h))
+
+
 def _plain_axes(figure: Figure, title: str, x_label: str, y_label: str) -> Axes:
     axes = figure.add_subplot()
     axes.set_title(title, loc="left", fontsize=12, color=INK)
+    style_diagram(axes, x_label, y_label)
+    return axes
+
+
+def style_diagram(axes: Axes, x_label: str, y_label: str) -> None:
+    """Axes of a diagram: labels, a light grid behind everything, no frame above and right."""
     axes.set_xlabel(x_label, fontsize=10, color=INK)
     axes.set_ylabel(y_label, fontsize=10, color=INK)
     axes.tick_params(labelsize=9, colors=INK)
     axes.grid(True, color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    return axes
 
 
 def _log_ticks(axis: Any, set_scale: Any) -> None:

@@ -11,8 +11,12 @@ from typing import Any
 from agents import pictures
 from agents.evaluation import COLLAPSE_M, COLLAPSE_NEES, Record, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
+from agents.maneuvers import Maneuvers, maneuvers
 
-METRICS = ("final_range_error_m", "mean_range_error_m")
+METRICS = {"final_range_error_m": "final", "mean_range_error_m": "time average"}
+"""The errors that are compared, and their names in tables."""
+ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
+"""Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
 
 
 def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, Record], scenario: Any) -> list[Path]:
@@ -25,13 +29,17 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
         {name: record.range_crlb_m.mean(0) for name, record in records.items()},
         title,
     )
-    geometry = pictures.geometry({name: record.paths for name, record in records.items()}, f"{title}: the first one")
+    paths = {name: record.paths for name, record in records.items()}
+    geometry = pictures.geometry(times, paths, f"{title}: the first one")
+    flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
+    platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [
         write_json(out / "evaluation.json", summary),
         atomic_write(out / "evaluation.csv", as_csv(summary)),
         write_text(out / "evaluation.md", as_markdown(summary)),
         save_figure(out / "range_error_over_time.png", over_time),
         save_figure(out / "geometry.png", geometry),
+        save_figure(out / "maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs")),
     ]
 
 
@@ -60,30 +68,52 @@ def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_markdown(summary: Mapping[str, Any]) -> str:
-    """The comparison as a table: errors in metres, ratios of means with 95 % intervals."""
-    bases = list(summary["ratios"])
+    """The comparison as two tables: figures of every policy, then ratios of means with 95 % intervals."""
+    return "\n".join([*_figures_table(summary), "", _note(summary), "", *_ratios_table(summary)])
+
+
+def _figures_table(summary: Mapping[str, Any]) -> list[str]:
+    policies = summary["policies"]
+    zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
     head = ["policy", "final mean", "median", "p95", "time average", "bound", "lost", "collapsed", "NEES"]
-    head += ["µs/decision"]
-    head += [f"final / {base}" for base in bases]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for name, figures in summary["policies"].items():
+    head += [*(ZONES[name] for name in zones), "µs/decision"]
+    rows = []
+    for name, figures in policies.items():
         final, mean = figures["final_range_error_m"], figures["mean_range_error_m"]
         cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
-        cells += [f"{figures['final_range_crlb_m']:.0f}", f"{100 * figures['lost_share']:.2f} %"]
-        cells += [f"{100 * figures['collapse_share']:.2f} %", f"{figures['final_nees']['mean']:.3g}"]
-        cells += [f"{figures['decision_time_us']:.2f}"]
-        cells += [_ratio_cell(summary["ratios"][base].get(name)) for base in bases]
-        lines.append("| " + " | ".join(cells) + " |")
-    note = (
+        cells += [f"{figures['final_range_crlb_m']:.0f}", _percent(figures["lost_share"])]
+        cells += [_percent(figures["collapse_share"]), f"{figures['final_nees']['mean']:.3g}"]
+        cells += [*(_percent(figures[zone]) for zone in zones), f"{figures['decision_time_us']:.2f}"]
+        rows.append(cells)
+    return _table(head, rows)
+
+
+def _ratios_table(summary: Mapping[str, Any]) -> list[str]:
+    """Two rows per policy, final and time-averaged error; one column per baseline."""
+    bases = list(summary["ratios"])
+    rows = [
+        [name, METRICS[metric], *(_ratio_cell(summary["ratios"][base].get(name), metric) for base in bases)]
+        for name in summary["policies"]
+        for metric in METRICS
+    ]
+    return _table(["policy", "error", *(f"/ {base}" for base in bases)], rows)
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    lines = [head, ["---"] * len(head), *rows]
+    return ["| " + " | ".join(cells) + " |" for cells in lines]
+
+
+def _note(summary: Mapping[str, Any]) -> str:
+    return (
         f"{summary['environment']}: range error in metres over {summary['episodes']} paired episodes from seed "
         f"{summary['seed']}, mean over targets. Bound: posterior Cramér–Rao bound at the end, mean; it is a standard "
         "deviation (a mean absolute error may lie 20 % below it) for targets as restless as the filter assumes (those "
-        "that fly straight for long can be ranged better). Ratios are of "
-        "means, with paired bootstrap 95 % intervals. Collapsed: ends more than "
+        "that fly straight for long can be ranged better). Collapsed: ends more than "
         f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {COLLAPSE_NEES:.1f}, its 99.99 % quantile. NEES: mean at "
-        "the end, 4 for an honest tracker and less for a cautious one."
+        "the end, 4 for an honest tracker and less for a cautious one. Below: ratios of means to every baseline's, "
+        "with paired bootstrap 95 % intervals."
     )
-    return "\n".join([*lines, "", note])
 
 
 def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[Path]:
@@ -109,12 +139,15 @@ def crossing_as_markdown(summaries: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _crossing_cell(figures: Mapping[str, Any]) -> str:
-    return f"{figures['final_range_error_m']['mean']:.0f} ({100 * figures['lost_share']:.2f} % lost)"
+    return f"{figures['final_range_error_m']['mean']:.0f} ({_percent(figures['lost_share'])} lost)"
 
 
-def _ratio_cell(ratios: Mapping[str, Any] | None) -> str:
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"
+
+
+def _ratio_cell(ratios: Mapping[str, Any] | None, metric: str) -> str:
     if ratios is None:
         return "1"
-    ratio = ratios["final_range_error_m"]
-    low, high = ratio["ci95"]
-    return f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]"
+    low, high = ratios[metric]["ci95"]
+    return f"{ratios[metric]['ratio']:.3f} [{low:.3f}, {high:.3f}]"

@@ -22,8 +22,8 @@ GRID = "#E3E3E3"
 SERIES = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY_BLUE)
 """Targets, tracks and policies, in order; yellow is left out (too pale on white), black is the stations'."""
 
-CURVES = (*SERIES, BLACK, "#8C564B")
-"""Curves of a diagram without stations: the same, then black and a brown that lies between the set's hues."""
+CURVES = (*SERIES, BLACK, "#8C564B", "#999999")
+"""Curves of a diagram without stations: the same, then black, a brown that lies between the set's hues, and a grey."""
 
 GOOD, BAD = BLUE, VERMILION
 """Better and worse than a baseline."""
@@ -35,5 +35,5 @@ def series_color(i: int) -> str:
 
 
 def curve_color(i: int) -> str:
-    """Colour of the i-th curve; the set repeats after eight."""
+    """Colour of the i-th curve; the set repeats after nine."""
     return CURVES[i % len(CURVES)]

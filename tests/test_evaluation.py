@@ -17,10 +17,12 @@ from agents.pictures import EpisodePaths
 from agents.policy import make_policy, policy_names
 from agents.report import as_csv, as_markdown, write_evaluation
 from passive_env import PassiveVectorEnv
+from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
 SHORT = TwoStation(steps=6)
-FILES = {"evaluation.json", "evaluation.csv", "evaluation.md", "range_error_over_time.png", "geometry.png"}
+PICTURES = ("range_error_over_time.png", "geometry.png", "maneuvers.png")
+FILES = {"evaluation.json", "evaluation.csv", "evaluation.md", *PICTURES}
 STATISTICS = {"mean", "median", "rms", "p95"}
 
 
@@ -38,9 +40,14 @@ def record(range_error_m, lost=None) -> Record:
         np.full((instants, 1, 2), 6e4) + np.arange(instants)[:, None, None],
         np.full((1, 2, 2), 1e6) * np.eye(2),
         np.full((instants, 1), 1e3),
+        np.full((instants, 1), 5e2),
     )
     share = np.zeros(episodes) if lost is None else np.array(lost, dtype=float)
-    return Record(errors, 0.5 * errors, share, 0.5 * share, 12.5, paths, np.arange(1.0, episodes + 1.0)[:, None])
+    off_sight, turns = np.full((episodes, instants, 2), 0.5), np.zeros((episodes, instants - 1, 2))
+    return Record(
+        errors, 0.5 * errors, share, 0.5 * share, 12.5, paths, np.arange(1.0, episodes + 1.0)[:, None], off_sight,
+        turns, 0.25 * share, 0.0 * share,
+    )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------------ paired tapes
@@ -94,7 +101,9 @@ def test_cutting_episodes_into_blocks_changes_nothing(monkeypatch, name):
     whole = fly(scenario, make_policy(name, scenario), 11, 5)
     monkeypatch.setattr(evaluation, "BLOCK", 4)
     cut = fly(scenario, make_policy(name, scenario), 11, 5)
-    for field in ("range_error_m", "range_crlb_m", "lost", "collapsed", "nees"):
+    for field in (
+        "range_error_m", "range_crlb_m", "lost", "collapsed", "nees", "off_sight_rad", "turns", "standoff", "nogo",
+    ):  # fmt: skip
         assert np.array_equal(getattr(cut, field), getattr(whole, field)), field
     assert np.array_equal(cut.paths.stations, whole.paths.stations)
 
@@ -107,6 +116,54 @@ def test_discrete_actions_are_flown_as_choices():
     turned = (np.diff(heading, axis=0) + 180.0) % 360.0 - 180.0
     assert np.all(np.isclose(np.abs(turned) % 5.0, 0.0, atol=1e-3) | np.isclose(np.abs(turned) % 5.0, 5.0, atol=1e-3))
     assert np.abs(turned).max() > 1.0
+
+
+def test_courses_and_turns_are_those_flown():
+    """Station 1 turns left by its full rate; angles from one platform's states and the true targets, by hand."""
+
+    class LeftTurn:
+        def reset(self, belief):
+            pass
+
+        def act(self, belief, observation):
+            return np.tile([1.0, 0.0], (len(observation), 1))
+
+    flown = fly(SHORT, LeftTurn(), 3, 20)
+    assert flown.off_sight_rad.shape == (3, 7, 2)
+    assert flown.turns.shape == (3, 6, 2)
+    assert (flown.turns == [1.0, 0.0]).all()
+    env = PassiveVectorEnv(SHORT, num_envs=3, autoreset_mode="disabled")
+    env.reset(seed=20)
+    for k in range(7):
+        for e, s in np.ndindex(3, 2):
+            x, y, vx, vy = env.world.platforms[e, s]
+            tx, ty = env.world.truth[e, :, :2].mean(0) - (x, y)
+            expected = np.arctan2(tx * vy - ty * vx, tx * vx + ty * vy)  # signed angle from sight to course
+            assert flown.off_sight_rad[e, k, s] == pytest.approx(expected, abs=1e-6)
+        if k < 6:
+            env.step(np.tile(np.float32([1.0, 0.0]), (3, 1)))
+
+
+def test_intrusions_are_counted_per_step():
+    """A ring of 100 km about targets at 60 to 80 km: everybody is inside all the time; without a ring never."""
+    for standoff_m, share in ((1e5, 1.0), (0.0, 0.0)):
+        scenario = SHORT.replace(standoff_m=standoff_m)
+        flown = fly(scenario, make_policy("straight", scenario), 3, 0)
+        assert flown.standoff.tolist() == [share] * 3
+        assert flown.nogo.tolist() == [0.0] * 3
+        assert flown.paths.standoff_m == standoff_m
+    scenario = Ownship(steps=40, nogo_discs=2)
+    flown = fly(scenario, make_policy("straight", scenario), 40, 0)
+    env, entered = PassiveVectorEnv(scenario, num_envs=40, autoreset_mode="disabled"), np.zeros(40)
+    env.reset(seed=0)
+    for _ in range(40):
+        env.step(np.zeros((40, 1), dtype=np.float32))
+        gap = np.linalg.norm(env.world.platforms[:, None, 0, :2] - env.world.tape.discs[..., :2], axis=-1) - 8e3
+        entered += (gap < 0.0).any(-1)
+    assert entered.sum() > 0.0
+    np.testing.assert_allclose(flown.nogo, entered / 40)
+    assert summarize("e", 0, {"a": flown})["policies"]["a"]["nogo_share"] == pytest.approx(entered.mean() / 40)
+    assert np.array_equal(flown.paths.discs, env.world.tape.discs[0])
 
 
 @pytest.mark.parametrize("episodes", [0, -1])
@@ -252,7 +309,7 @@ def test_files_say_what_the_summary_says(tmp_path, two_records):
     folder = tmp_path / "new" / "folder"
     assert {path.name for path in written} == {path.name for path in folder.iterdir()} == FILES
     assert json.loads((folder / "evaluation.json").read_text()) == summary
-    for name in ("range_error_over_time.png", "geometry.png"):
+    for name in PICTURES:
         assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     rows = list(csv.DictReader((folder / "evaluation.csv").read_text().splitlines()))
     assert [row["policy"] for row in rows] == ["paper", "rule", "random"]
@@ -269,17 +326,55 @@ def test_files_say_what_the_summary_says(tmp_path, two_records):
     assert rows[0]["final_range_error_m_over_paper"] == ""
 
 
-def test_markdown_table_has_a_row_for_every_policy(two_records):
+def tables(markdown: str) -> list[list[list[str]]]:
+    """Cells of every table, row by row, the rule below the head left out."""
+    found: list[list[list[str]]] = [[]]
+    for line in markdown.splitlines():
+        if line.startswith("|"):
+            found[-1].append([cell.strip() for cell in line.strip("|").split("|")])
+        elif found[-1]:
+            found.append([])
+    return [[table[0], *table[2:]] for table in found if table]
+
+
+def test_markdown_shows_figures_then_ratios(two_records):
     summary = summarize("passive/TwoStation-v0", 0, two_records)
-    lines = as_markdown(summary).splitlines()
-    head, rule, *rows = [line for line in lines if line.startswith("|")]
-    assert [row.split("|")[1].strip() for row in rows] == ["paper", "rule", "random"]
-    assert len({row.count("|") for row in (head, rule, *rows)}) == 1
-    assert f"{summary['policies']['random']['final_range_error_m']['mean']:.0f}" in rows[2]
-    assert f"{summary['ratios']['paper']['random']['final_range_error_m']['ratio']:.3f}" in rows[2]
-    assert "4 paired episodes" in lines[-1]
-    assert f"{summary['policies']['random']['final_nees']['mean']:.3g}" in rows[2].split("|")[9]
+    text = as_markdown(summary)
+    figures, ratios = tables(text)
+    for table in (figures, ratios):
+        assert len({len(row) for row in table}) == 1
+    assert [row[0] for row in figures[1:]] == ["paper", "rule", "random"]
+    shown, random = dict(zip(figures[0], figures[3], strict=True)), summary["policies"]["random"]
+    assert shown["final mean"] == f"{random['final_range_error_m']['mean']:.0f}"
+    assert shown["time average"] == f"{random['mean_range_error_m']['mean']:.0f}"
+    assert shown["NEES"] == f"{random['final_nees']['mean']:.3g}"
+    assert shown["collapsed"] == f"{100 * random['collapse_share']:.2f} %"
+    assert "4 paired episodes" in text
     assert as_csv(summary).count("\n") == 4
+
+
+def test_markdown_has_both_ratios_to_every_baseline_with_their_intervals(two_records):
+    summary = summarize("passive/TwoStation-v0", 0, two_records)
+    _, (head, *rows) = tables(as_markdown(summary))
+    assert head == ["policy", "error", "/ paper", "/ rule"]
+    found = {(row[0], row[1]): row[2:] for row in rows}
+    assert list(found) == [(name, error) for name in summary["policies"] for error in ("final", "time average")]
+    for (name, error), cells in found.items():
+        metric = {"final": "final_range_error_m", "time average": "mean_range_error_m"}[error]
+        for base, cell in zip(("paper", "rule"), cells, strict=True):
+            if base == name:
+                assert cell == "1"
+                continue
+            ratio = summary["ratios"][base][name][metric]
+            assert cell == "{:.3f} [{:.3f}, {:.3f}]".format(ratio["ratio"], *ratio["ci95"])
+
+
+def test_markdown_shows_zones_only_where_somebody_enters_them():
+    clear, inside = ({"a": record([[2.0, 1.0]] * 2, lost)} for lost in ([0.0, 0.0], [0.2, 0.4]))
+    heads = [tables(as_markdown(summarize("e", 0, records)))[0] for records in (clear, inside)]
+    assert "in rings" not in heads[0][0]
+    assert "in discs" not in heads[1][0]
+    assert dict(zip(*heads[1], strict=True))["in rings"] == "7.50 %"
 
 
 def test_an_earlier_evaluation_is_replaced_whole(tmp_path, two_records):

@@ -9,6 +9,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from agents.maneuvers import Maneuvers, angle_quantiles_deg, first_side_share, leg_steps, maneuvers
 from agents.pictures import LABEL_GAP, EpisodePaths, geometry, range_error_over_time, ratio_chart, reward_curve
 from passive_env.palette import BAD, GOOD, MUTED, SERIES
 
@@ -41,7 +42,8 @@ def episode(turn: float = 0.0, far: bool = False) -> EpisodePaths:
     estimates = targets + np.array([300.0, 900.0])
     estimates[:, 0] += 150e3 * far
     cov = np.tile(np.array([[9e6, 4e6], [4e6, 3e6]]), (3, 1, 1))
-    return EpisodePaths(stations, targets, estimates, cov, np.full((46, 3), 1000.0 + 2000.0 * turn))
+    error = np.full((46, 3), 1000.0 + 2000.0 * turn)
+    return EpisodePaths(stations, targets, estimates, cov, error, 0.5 * error)
 
 
 # ------------------------------------------------------------------------------------------------ range error over time
@@ -91,24 +93,82 @@ def test_range_error_says_what_is_wrong(curves, bound, message):
 # ------------------------------------------------------------------------------------------------ geometry
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6])
-def test_geometry_has_one_panel_per_policy_on_the_same_axes(count):
-    figure = geometry({f"policy {i}": episode(0.1 * i) for i in range(count)}, "Title")
-    assert len(figure.axes) == count
-    assert len({(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes}) == 1
-    assert (
-        figure.axes[-1].get_title()
-        == f"policy {count - 1}\nmean range error at the end {1.0 + 0.2 * (count - 1):.2f} km"
-    )
+@pytest.mark.parametrize("count", [1, 2, 5, 7, 9])
+def test_geometry_has_a_map_and_a_diagram_per_policy_on_the_same_axes(count):
+    figure = geometry(TIME_S, {f"policy {i}": episode(0.1 * i) for i in range(count)}, "Title")
+    maps, diagrams = figure.axes[::2], figure.axes[1::2]
+    assert len(maps) == len(diagrams) == count
+    for panels in (maps, diagrams):
+        assert len({(axes.get_xlim(), axes.get_ylim()) for axes in panels}) == 1
+    for above, below in zip(maps, diagrams, strict=True):
+        assert below.get_position().y1 < above.get_position().y0
+        assert below.get_position().x0 == pytest.approx(above.get_position().x0)
+    assert maps[-1].get_title() == f"policy {count - 1}: {1.0 + 0.2 * (count - 1):.2f} km off at the end"
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_nothing_in_geometry_overlaps(count):
+    zones = {"discs": np.array([[30e3, 30e3, 5e3]]), "standoff_m": 10e3}  # the longest legend
+    shown = {f"policy {i}": episode(0.1 * i)._replace(**zones) for i in range(count)}
+    figure = geometry(TIME_S, shown, "Title")
+    assert_is_picture(figure)
+    assert_apart(figure)
+
+
+def assert_apart(figure: Figure) -> None:
+    """Axes with their titles and labels, the legends and the figure's title keep clear of each other and the edges."""
+    boxes = [axes.get_tightbbox() for axes in figure.axes] + [figure.legends[0].get_window_extent()]
+    boxes.append(figure.texts[0].get_window_extent())
+    for i, box in enumerate(boxes):
+        assert box.x0 >= 0
+        assert box.y0 >= 0
+        assert box.x1 <= figure.bbox.x1
+        assert box.y1 <= figure.bbox.y1
+        assert not [other for other in boxes[i + 1 :] if box.overlaps(other)]
+
+
+def test_error_and_bound_of_every_target_stand_below_its_map():
+    shown = episode()._replace(range_error_m=np.outer(decay(2e3), [1.0, 2.0, 3.0]))
+    below = geometry(TIME_S, {"x": shown}, "Title").axes[1]
+    errors, bounds = below.lines[::2], below.lines[1::2]
+    assert [line.get_color() for line in errors] == [line.get_color() for line in bounds] == list(SERIES[:3])
+    assert [line.get_ydata()[-1] for line in errors] == pytest.approx(1e-3 * shown.range_error_m[-1])
+    assert [line.get_ydata()[-1] for line in bounds] == [0.5, 0.5, 0.5]
+    assert {line.get_linestyle() for line in errors} == {"-"}
+    assert {line.get_linestyle() for line in bounds} == {"--"}
+
+
+def test_a_perfect_estimate_is_drawn():
+    assert_is_picture(geometry(TIME_S, {"x": episode()._replace(range_error_m=np.zeros((46, 3)))}, "Title"))
+
+
+def test_zones_are_drawn_and_named_where_there_are_any():
+    discs = np.array([[20e3, 300e3, 8e3], [30e3, 30e3, 5e3]])
+    plain, zoned = episode(), episode()._replace(discs=discs, standoff_m=10e3)
+    without, within = (geometry(TIME_S, {"x": shown}, "Title") for shown in (plain, zoned))
+    assert assert_is_picture(without).shape == assert_is_picture(within).shape
+    named = [[text.get_text() for text in figure.legends[0].get_texts()] for figure in (without, within)]
+    assert set(named[1]) - set(named[0]) == {"no-go disc", "stand-off ring"}
+    top = within.axes[0].get_ylim()[1]
+    assert without.axes[0].get_ylim()[1] < 308.0 < top
+    outlines = [path.vertices for part in within.axes[0].collections for path in part.get_paths()]
+    for center, radius in [*((1e-3 * disc[:2], 1e-3 * disc[2]) for disc in discs), (1e-3 * zoned.targets[-1, 1], 10.0)]:
+        assert any(np.allclose(np.hypot(*(outline - center).T), radius) for outline in outlines if len(outline))
+
+
+def test_geometry_says_which_figures_do_not_fit():
+    cut = episode()._replace(range_crlb_m=np.ones((45, 3)))
+    with pytest.raises(ValueError, match=r"paths\['b'\]\.range_crlb_m has shape \(45, 3\), must be .* \(46, 3\)"):
+        geometry(TIME_S, {"a": episode(), "b": cut}, "Title")
 
 
 def test_geometry_is_a_picture_that_differs_between_policies():
-    straight, apart = (assert_is_picture(geometry({"x": episode(turn)}, "T")) for turn in (0.0, 0.5))
+    straight, apart = (assert_is_picture(geometry(TIME_S, {"x": episode(turn)}, "T")) for turn in (0.0, 0.5))
     assert (straight != apart).any()
 
 
 def test_an_estimate_far_off_changes_no_axes():
-    near, far = (geometry({"x": episode(far=far)}, "Title") for far in (False, True))
+    near, far = (geometry(TIME_S, {"x": episode(far=far)}, "Title") for far in (False, True))
     assert near.axes[0].get_xlim() == far.axes[0].get_xlim()
     low, high = far.axes[0].get_xlim()
     rings = [line for line in far.axes[0].lines if line.get_markerfacecolor() == "none"]
@@ -118,13 +178,86 @@ def test_an_estimate_far_off_changes_no_axes():
 
 
 def test_geometry_of_one_instant():
-    at_start = EpisodePaths(*(part[:1] for part in episode()[:3]), episode().final_cov, episode().range_error_m[:1])
-    assert_is_picture(geometry({"x": at_start}, "Title"))
+    whole = episode()
+    at_start = EpisodePaths(
+        *(part[:1] for part in whole[:3]), whole.final_cov, whole.range_error_m[:1], whole.range_crlb_m[:1]
+    )
+    assert_is_picture(geometry(TIME_S[:1], {"x": at_start}, "Title"))
 
 
 def test_geometry_needs_a_policy():
     with pytest.raises(ValueError, match="at least one policy"):
-        geometry({}, "Title")
+        geometry(TIME_S, {}, "Title")
+
+
+# ------------------------------------------------------------------------------------------------ maneuvers
+
+
+def weaving(period: int, angle_deg: float = 60.0, episodes: int = 8) -> Maneuvers:
+    """All episodes change sides every `period` steps; the odd ones begin on the right."""
+    side = np.where(np.arange(len(TIME_S)) // period % 2 == 0, 1.0, -1.0)
+    off = np.radians(angle_deg) * np.where(np.arange(episodes) % 2 == 0, 1.0, -1.0)[:, None] * side
+    return Maneuvers(off, np.sign(np.diff(off, axis=1)))
+
+
+def test_angle_quantiles_by_hand():
+    off = np.radians([[-10.0, 20.0], [30.0, -170.0], [50.0, 90.0]])
+    assert angle_quantiles_deg(off)[[1, 2, 3]] == pytest.approx(np.array([[20.0, 55.0], [30.0, 90.0], [40.0, 130.0]]))
+
+
+def test_side_is_counted_from_where_an_episode_began():
+    off = np.array([[0.5, -0.5, 0.5, -0.5], [-0.5, 0.5, 0.5, -0.5]])
+    assert first_side_share(off).tolist() == [1.0, 0.0, 0.5, 0.5]
+
+
+def test_legs_end_where_the_course_crosses_the_line_of_sight_and_not_at_the_episodes_end():
+    off = np.array([[1.0, 1.0, -1.0, -1.0, -1.0, 1.0], [-3.1, 3.1, 1.0, 1.0, 1.0, 1.0], [1.0] * 6])
+    assert leg_steps(off).tolist() == [2, 3, 1]
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 6, 9])
+def test_nothing_in_maneuvers_overlaps(count):
+    figure = maneuvers(TIME_S, {f"policy {i}": weaving(5 + i) for i in range(count)}, "Title")
+    assert len(figure.axes) == 3 * count
+    assert_is_picture(figure)
+    assert_apart(figure)
+
+
+def test_maneuvers_show_angle_side_turns_and_legs():
+    angle, side, legs = maneuvers(TIME_S, {"x": weaving(15, 60.0)}, "Title").axes
+    assert angle.get_title() == "x"
+    assert angle.lines[0].get_ydata() == pytest.approx(60.0)
+    expected = np.repeat([100.0, 0.0, 100.0, 0.0], (15, 15, 15, 1))
+    assert side.lines[0].get_ydata() == pytest.approx(expected)
+    turning = np.zeros(45)
+    turning[[14, 29, 44]] = 100.0
+    assert side.patches[0].get_data().values == pytest.approx(turning)
+    drawn = legs.patches[0].get_data()
+    (filled,) = np.flatnonzero(drawn.values)
+    assert drawn.edges[filled] < 30.0 < drawn.edges[filled + 1]
+    assert drawn.values[filled] == 3.0
+    assert legs.texts[0].get_text() == "3.0 crossings\nper episode"
+
+
+def test_a_policy_that_never_crosses_the_line_of_sight_is_drawn():
+    figure = maneuvers(TIME_S, {"x": weaving(100)}, "Title")
+    assert_is_picture(figure)
+    assert figure.axes[2].texts[0].get_text() == "0.0 crossings\nper episode"
+
+
+@pytest.mark.parametrize(
+    ("instants", "flown", "message"),
+    [
+        (46, {}, "at least one policy"),
+        (1, {"x": weaving(5)}, "time_s has 1 instants"),
+        (45, {"x": weaving(5)}, r"flown\['x'\]: off_sight_rad and turns have shapes \(8, 46\) and \(8, 45\)"),
+        (46, {"x": weaving(5, episodes=0)}, r"shapes \(0, 46\)"),
+        (46, {"x": weaving(5)._replace(turns=np.zeros((7, 45)))}, r"\(7, 45\), must be"),
+    ],
+)
+def test_maneuvers_say_what_is_wrong(instants, flown, message):
+    with pytest.raises(ValueError, match=message):
+        maneuvers(TIME_S[:instants], flown, "Title")
 
 
 # ------------------------------------------------------------------------------------------------ training, ratios
