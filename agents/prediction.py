@@ -190,50 +190,88 @@ def _half_log_det(P):
 
 
 @helper
-def _track_figure(cov, path, flight, steps, T, q, var, first, criterion):
-    """One track's part of the criterion for a path [k, 2] seen from platforms flying [k, s, 2]."""
-    reference = flight.shape[1] - 1
-    P = (
-        cov[0, 0], cov[0, 1], cov[0, 2], cov[0, 3], cov[1, 1],
-        cov[1, 2], cov[1, 3], cov[2, 2], cov[2, 3], cov[3, 3],
-    )  # fmt: skip
-    log_product, product = 0.0, 1.0  # one logarithm for many factors
-    for k in range(steps):
-        P = _predict(P, T, q)
-        for s in range(first, flight.shape[1]):
-            a, b = slope(path[k, 0], path[k, 1], flight[k, s, 0], flight[k, s, 1])
-            P = _condition(P, a, b, var)
-        if criterion == 4:
-            product *= max(_range_variance(P, path[k], flight[k, reference]), 1.0)
-            if product > LARGE_PRODUCT:
-                log_product += math.log(product)
-                product = 1.0
-    if criterion == 4:
-        return 0.5 * (log_product + math.log(product)) / steps
+def _scan(P, target, platforms, T, q, var, first):
+    """Covariance after a step and the bearings of platforms [s, 2] from `first` on."""
+    P = _predict(P, T, q)
+    for s in range(first, platforms.shape[0]):
+        a, b = slope(target[0], target[1], platforms[s, 0], platforms[s, 1])
+        P = _condition(P, a, b, var)
+    return P
+
+
+@helper
+def _figure(P, target, platform, criterion):
+    """One track's part of a criterion of the plan's end."""
     if criterion == 3:
         return _half_log_det(P)
     if criterion == 2:
         return P[0] + P[4]
-    variance = _range_variance(P, path[steps - 1], flight[steps - 1, reference])
+    variance = _range_variance(P, target, platform)
     return math.sqrt(variance) if criterion == 0 else variance
 
 
-@kernel("(s,x),(k,m,p),(m,x,x),(d,r),(),(g,s),(g),(l),(k,s,p)->()", "FFFFififFf")
-def _plan_cost(platforms, paths, cov, discs, steps, controls, ends, model, flight, cost):
-    """`flight` is scratch, shared by all items of a call: the platforms' places after each step."""
-    T, limit, q, var = model[0], model[1], model[2], model[3]
-    first, criterion, turns = int(model[4]), int(model[5]), model[6] > 0.0
-    for s in range(platforms.shape[0]):
-        _fly(platforms[s], controls[:, s], ends, steps, T, limit, turns, flight[:, s])
-    penalty = figure = 0.0
+@helper
+def _two_figures(cov, path, flights, steps, T, q, var, first, criterion):
+    """One track's part of the criterion for a path [k, 2] seen by two plans' platforms, flights [2, k, s, 2].
+
+    Two recursions side by side: each waits for its own divisions, so that together they take little longer than one.
+    """
+    reference = flights.shape[2] - 1
+    P = Q = (
+        cov[0, 0], cov[0, 1], cov[0, 2], cov[0, 3], cov[1, 1],
+        cov[1, 2], cov[1, 3], cov[2, 2], cov[2, 3], cov[3, 3],
+    )  # fmt: skip
+    log_p = log_q = 0.0
+    product_p = product_q = 1.0  # one logarithm for many factors
     for k in range(steps):
-        penalty += T * _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
-    for m in range(cov.shape[0]):
-        figure += _track_figure(cov[m], paths[:, m], flight, steps, T, q, var, first, criterion)
-    if criterion < 3:
-        figure = math.log(max(figure, 1.0))
-    total = figure + penalty
-    cost[0] = total if abs(total) < WORST else WORST
+        P = _scan(P, path[k], flights[0, k], T, q, var, first)
+        Q = _scan(Q, path[k], flights[1, k], T, q, var, first)
+        if criterion == 4:
+            product_p *= max(_range_variance(P, path[k], flights[0, k, reference]), 1.0)
+            product_q *= max(_range_variance(Q, path[k], flights[1, k, reference]), 1.0)
+            if max(product_p, product_q) > LARGE_PRODUCT:
+                log_p, log_q = log_p + math.log(product_p), log_q + math.log(product_q)
+                product_p = product_q = 1.0
+    if criterion == 4:
+        return 0.5 * (log_p + math.log(product_p)) / steps, 0.5 * (log_q + math.log(product_q)) / steps
+    last = steps - 1
+    return (
+        _figure(P, path[last], flights[0, last, reference], criterion),
+        _figure(Q, path[last], flights[1, last, reference], criterion),
+    )
+
+
+@helper
+def _flight_cost(platforms, paths, discs, steps, controls, ends, model, flight):
+    """Fly a plan with controls [g, s] and ends [g], filling flight [k, s, 2]; returns its penalties."""
+    for s in range(platforms.shape[0]):
+        _fly(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
+    penalty = 0.0
+    for k in range(steps):
+        penalty += _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
+    return model[0] * penalty
+
+
+@helper
+def _total(figure, penalty, criterion):
+    """A plan's cost from its tracks' figures and its penalties."""
+    total = penalty + (math.log(max(figure, 1.0)) if criterion < 3 else figure)
+    return total if abs(total) < WORST else WORST
+
+
+@kernel("(s,x),(k,m,p),(m,x,x),(d,r),(),(c,g,s),(c,g),(l),(t,k,s,p)->(c)", "FFFFiFiFFF")
+def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flights, cost):
+    """Costs of c plans, two at a time. `flights` [2, k, s, 2] is scratch, shared by all items of a call."""
+    T, q, var, first, criterion = model[0], model[2], model[3], int(model[4]), int(model[5])
+    for one in range(0, cost.shape[0], 2):
+        other = min(one + 1, cost.shape[0] - 1)  # an odd last one is its own partner
+        penalty = _flight_cost(platforms, paths, discs, steps, controls[one], ends[one], model, flights[0])
+        other_penalty = _flight_cost(platforms, paths, discs, steps, controls[other], ends[other], model, flights[1])
+        figure = other_figure = 0.0
+        for m in range(cov.shape[0]):
+            f, g = _two_figures(cov[m], paths[:, m], flights, steps, T, q, var, first, criterion)
+            figure, other_figure = figure + f, other_figure + g
+        cost[one], cost[other] = _total(figure, penalty, criterion), _total(other_figure, other_penalty, criterion)
 
 
 class Prediction:
@@ -277,12 +315,12 @@ class Prediction:
         """
         model = self._model(start.platforms.shape[1])
         blocks = Blocks(len(controls))
-        flight = (start.paths.shape[1], *start.platforms.shape[1:2], 2)
+        flights = (2, start.paths.shape[1], *start.platforms.shape[1:2], 2)
 
         def run(rows: slice) -> np.ndarray:
-            begin = [part[rows, None] for part in start]
+            begin = [part[rows] for part in start]
             with np.errstate(all="ignore"):  # a diverged track costs `WORST`
-                return _plan_cost(*begin, controls[rows], ends[rows], model, np.empty(flight))
+                return _plan_costs(*begin, controls[rows], ends[rows], model, np.empty(flights))
 
         return np.concatenate(blocks.map(run, blocks.slices))
 
