@@ -18,11 +18,9 @@ import numpy as np
 
 from passive_env.belief import Belief
 from trackers.angles import wrap, wrap_scalar
-from trackers.bounds import range_variance
 from trackers.compiled import Blocks, helper, kernel
 from trackers.linalg import cholesky_4
-from trackers.measurement import condition_into, slope
-from trackers.motion import predict_in_place
+from trackers.measurement import NOISE_FLOOR, slope
 
 CRITERIA = ("range_std", "range_variance", "trace", "log_determinant", "mean_log_std")
 """What a plan minimises. At the plan's end, summed over tracks, then the logarithm: range standard deviation [m],
@@ -37,6 +35,9 @@ CONTROLS = ("headings", "turns")
 GUARD_PER_S, STANDOFF_PER_S = 1.0, 10.0
 """Penalties [nepers per second and unit depth] for being within the guard, and within a stand-off ring or disc. Depth
 grows from 0 at the edge to 1 at the middle. The guard bends a plan, the others are all but forbidden."""
+
+LARGE_PRODUCT = 1e200
+"""Variances [m²] multiplied beyond this are replaced by their logarithm: another factor must not overflow."""
 
 WORST = 1e6
 """Cost of a plan whose prediction is no finite number."""
@@ -79,16 +80,41 @@ def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
 
 
 @helper
-def _fly(state, turned, T):
-    """Move a platform [4] along an arc of T seconds that turns it by `turned` rad (`passive_env.kinematics.arc`)."""
-    vx, vy = state[2], state[3]
-    along, across = T, 0.0
+def _arc(turned, T):
+    """Cosine and sine of a turn by `turned` rad in T seconds, and the arc's reach along and across the start course
+    [s], to be multiplied by the speed (`passive_env.kinematics.arc`)."""
+    c, s = math.cos(turned), math.sin(turned)
     if abs(turned) > 1e-9:
-        c, s = math.cos(turned), math.sin(turned)
-        along, across = T * s / turned, T * (1.0 - c) / turned
-        state[2], state[3] = c * vx - s * vy, s * vx + c * vy
-    state[0] += along * vx - across * vy
-    state[1] += along * vy + across * vx
+        return c, s, T * s / turned, T * (1.0 - c) / turned
+    return c, s, T, 0.0
+
+
+@helper
+def _fly(platform, controls, ends, steps, T, limit, turns, flight):
+    """Places [k, 2] of a platform [4] after each step of the plan with controls and ends [g].
+
+    Nearly all steps are straight or turn at the limit: those arcs are computed once.
+    """
+    x, y, vx, vy = platform[0], platform[1], platform[2], platform[3]
+    heading, leg = math.atan2(vy, vx), 0
+    straight, hardest = _arc(0.0, T), _arc(limit, T)
+    for k in range(steps):
+        while leg < ends.shape[0] - 1 and k >= ends[leg]:
+            leg += 1
+        turned = controls[leg] * limit if turns else wrap_scalar(controls[leg] - heading)
+        turned = min(max(turned, -limit), limit)
+        heading += turned
+        if abs(turned) <= 1e-9:
+            c, s, along, across = straight
+        elif abs(turned) < limit:
+            c, s, along, across = _arc(turned, T)
+        else:
+            c, s, along, across = hardest
+            if turned < 0.0:
+                s, across = -s, -across
+        x, y = x + along * vx - across * vy, y + along * vy + across * vx
+        vx, vy = c * vx - s * vy, s * vx + c * vy
+        flight[k, 0], flight[k, 1] = x, y
 
 
 @helper
@@ -113,58 +139,139 @@ def _intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_
 
 
 @helper
+def _predict(P, T, q):
+    """`trackers.motion.predict_in_place` of a covariance given by its ten numbers, row by row."""
+    p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = P
+    q2 = q * q
+    half, quarter = 0.5 * T * q2, 0.25 * T * T * q2
+    c02, c03, c12, c13 = p02 + T * p22, p03 + T * p23, p12 + T * p23, p13 + T * p33
+    p00 += T * (p02 + c02) + quarter
+    p01 += T * (p12 + c03)
+    p11 += T * (p13 + c13) + quarter
+    return p00, p01, c02 + half, c03, p11, c12, c13 + half, p22 + q2, p23, p33 + q2
+
+
+@helper
+def _condition(P, a, b, var):
+    """P − PHᵀ (HPHᵀ + σ²)⁻¹ HP for H = [a, b, 0, 0], ten numbers in, ten out.
+
+    The short form: a filter's covariance needs the Joseph form's care, a forecast that lasts an episode does not.
+    """
+    p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = P
+    f0, f1, f2, f3 = a * p00 + b * p01, a * p01 + b * p11, a * p02 + b * p12, a * p03 + b * p13
+    hph = a * f0 + b * f1
+    per_S = 1.0 / (hph + max(var, NOISE_FLOOR * hph))
+    k0, k1, k2, k3 = f0 * per_S, f1 * per_S, f2 * per_S, f3 * per_S
+    return (
+        p00 - k0 * f0, p01 - k0 * f1, p02 - k0 * f2, p03 - k0 * f3, p11 - k1 * f1,
+        p12 - k1 * f2, p13 - k1 * f3, p22 - k2 * f2, p23 - k2 * f3, p33 - k3 * f3,
+    )  # fmt: skip
+
+
+@helper
+def _range_variance(P, target, platform):
+    """`trackers.bounds.range_variance` of a covariance given by its ten numbers."""
+    dx, dy = target[0] - platform[0], target[1] - platform[1]
+    r2 = max(dx * dx + dy * dy, 1.0)
+    return max((dx * dx * P[0] + 2.0 * dx * dy * P[1] + dy * dy * P[4]) / r2, 0.0)
+
+
+@helper
 def _half_log_det(P):
-    l00, _, l11, _, _, l22, _, _, _, l33 = cholesky_4(P)
+    """Half the log-determinant of a covariance given by its ten numbers."""
+    full = np.empty((4, 4))
+    i = 0
+    for r in range(4):
+        for c in range(r, 4):
+            full[r, c] = full[c, r] = P[i]
+            i += 1
+    l00, _, l11, _, _, l22, _, _, _, l33 = cholesky_4(full)
     return math.log(l00) + math.log(l11) + math.log(l22) + math.log(l33)
 
 
 @helper
+def _scan(P, target, platforms, T, q, var, first):
+    """Covariance after a step and the bearings of platforms [s, 2] from `first` on."""
+    P = _predict(P, T, q)
+    for s in range(first, platforms.shape[0]):
+        a, b = slope(target[0], target[1], platforms[s, 0], platforms[s, 1])
+        P = _condition(P, a, b, var)
+    return P
+
+
+@helper
 def _figure(P, target, platform, criterion):
-    """One track's part of the criterion."""
-    if criterion == 2:
-        return P[0, 0] + P[1, 1]
+    """One track's part of a criterion of the plan's end."""
     if criterion == 3:
         return _half_log_det(P)
-    variance = range_variance(P, target[0], target[1], platform[0], platform[1])
-    if criterion == 4:
-        return 0.5 * math.log(max(variance, 1.0))
+    if criterion == 2:
+        return P[0] + P[4]
+    variance = _range_variance(P, target, platform)
     return math.sqrt(variance) if criterion == 0 else variance
 
 
-@kernel("(s,x),(k,m,p),(m,x,x),(d,r),(),(g,s),(g),(l)->()", "ffffififf")
-def _plan_cost(platforms, paths, cov, discs, steps, controls, ends, model, cost):
-    T, limit, q, var = model[0], model[1], model[2], model[3]
-    first, criterion, turns = int(model[4]), int(model[5]), model[6] > 0.0
-    n, reference = cov.shape[0], platforms.shape[0] - 1
-    state, P, still = platforms.copy(), cov.copy(), np.zeros(4)
-    heading = np.empty(platforms.shape[0])
-    for s in range(platforms.shape[0]):
-        heading[s] = math.atan2(platforms[s, 3], platforms[s, 2])
-    leg, penalty, figure = 0, 0.0, 0.0
+@helper
+def _two_figures(cov, path, flights, steps, T, q, var, first, criterion):
+    """One track's part of the criterion for a path [k, 2] seen by two plans' platforms, flights [2, k, s, 2].
+
+    Two recursions side by side: each waits for its own divisions, so that together they take little longer than one.
+    """
+    reference = flights.shape[2] - 1
+    P = Q = (
+        cov[0, 0], cov[0, 1], cov[0, 2], cov[0, 3], cov[1, 1],
+        cov[1, 2], cov[1, 3], cov[2, 2], cov[2, 3], cov[3, 3],
+    )  # fmt: skip
+    log_p = log_q = 0.0
+    product_p = product_q = 1.0  # one logarithm for many factors
     for k in range(steps):
-        while leg < ends.shape[0] - 1 and k >= ends[leg]:
-            leg += 1
-        for s in range(platforms.shape[0]):
-            if turns:
-                turned = controls[leg, s] * limit
-            else:
-                turned = min(max(wrap_scalar(controls[leg, s] - heading[s]), -limit), limit)
-            _fly(state[s], turned, T)
-            heading[s] += turned
-        penalty += T * _intrusion(state, paths[k], discs, model[7], model[8], model[9], model[10])
-        for m in range(n):
-            predict_in_place(still, P[m], T, q)
-            for s in range(first, platforms.shape[0]):
-                a, b = slope(paths[k, m, 0], paths[k, m, 1], state[s, 0], state[s, 1])
-                condition_into(still, P[m], 0.0, a, b, var, still, P[m])
-            if criterion == 4 or k == steps - 1:
-                figure += _figure(P[m], paths[k, m], state[reference], criterion)
+        P = _scan(P, path[k], flights[0, k], T, q, var, first)
+        Q = _scan(Q, path[k], flights[1, k], T, q, var, first)
+        if criterion == 4:
+            product_p *= max(_range_variance(P, path[k], flights[0, k, reference]), 1.0)
+            product_q *= max(_range_variance(Q, path[k], flights[1, k, reference]), 1.0)
+            if max(product_p, product_q) > LARGE_PRODUCT:
+                log_p, log_q = log_p + math.log(product_p), log_q + math.log(product_q)
+                product_p = product_q = 1.0
     if criterion == 4:
-        figure /= steps
-    elif criterion < 3:
-        figure = math.log(max(figure, 1.0))
-    total = figure + penalty
-    cost[0] = total if abs(total) < WORST else WORST
+        return 0.5 * (log_p + math.log(product_p)) / steps, 0.5 * (log_q + math.log(product_q)) / steps
+    last = steps - 1
+    return (
+        _figure(P, path[last], flights[0, last, reference], criterion),
+        _figure(Q, path[last], flights[1, last, reference], criterion),
+    )
+
+
+@helper
+def _flight_cost(platforms, paths, discs, steps, controls, ends, model, flight):
+    """Fly a plan with controls [g, s] and ends [g], filling flight [k, s, 2]; returns its penalties."""
+    for s in range(platforms.shape[0]):
+        _fly(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
+    penalty = 0.0
+    for k in range(steps):
+        penalty += _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
+    return model[0] * penalty
+
+
+@helper
+def _total(figure, penalty, criterion):
+    """A plan's cost from its tracks' figures and its penalties."""
+    total = penalty + (math.log(max(figure, 1.0)) if criterion < 3 else figure)
+    return total if abs(total) < WORST else WORST
+
+
+@kernel("(s,x),(k,m,p),(m,x,x),(d,r),(),(c,g,s),(c,g),(l),(t,k,s,p)->(c)", "FFFFiFiFFF")
+def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flights, cost):
+    """Costs of c plans, two at a time. `flights` [2, k, s, 2] is scratch, shared by all items of a call."""
+    T, q, var, first, criterion = model[0], model[2], model[3], int(model[4]), int(model[5])
+    for one in range(0, cost.shape[0], 2):
+        other = min(one + 1, cost.shape[0] - 1)  # an odd last one is its own partner
+        penalty = _flight_cost(platforms, paths, discs, steps, controls[one], ends[one], model, flights[0])
+        other_penalty = _flight_cost(platforms, paths, discs, steps, controls[other], ends[other], model, flights[1])
+        figure = other_figure = 0.0
+        for m in range(cov.shape[0]):
+            f, g = _two_figures(cov[m], paths[:, m], flights, steps, T, q, var, first, criterion)
+            figure, other_figure = figure + f, other_figure + g
+        cost[one], cost[other] = _total(figure, penalty, criterion), _total(other_figure, other_penalty, criterion)
 
 
 class Prediction:
@@ -208,11 +315,12 @@ class Prediction:
         """
         model = self._model(start.platforms.shape[1])
         blocks = Blocks(len(controls))
+        flights = (2, start.paths.shape[1], *start.platforms.shape[1:2], 2)
 
         def run(rows: slice) -> np.ndarray:
-            begin = [part[rows, None] for part in start]
+            begin = [part[rows] for part in start]
             with np.errstate(all="ignore"):  # a diverged track costs `WORST`
-                return _plan_cost(*begin, controls[rows], ends[rows], model)
+                return _plan_costs(*begin, controls[rows], ends[rows], model, np.empty(flights))
 
         return np.concatenate(blocks.map(run, blocks.slices))
 

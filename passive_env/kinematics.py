@@ -34,7 +34,8 @@ def arc(speed, acceleration, turn_rate, h):
 def advance_in_place(state, acceleration, turn_rate, h):
     """Move a state [x, y, vx, vy] along an arc of h seconds."""
     speed = math.hypot(state[2], state[3])
-    c, s = (state[2] / speed, state[3] / speed) if speed > 0.0 else (1.0, 0.0)
+    per_speed = 1.0 / max(speed, 1e-300)
+    c, s = (state[2] * per_speed, state[3] * per_speed) if speed > 0.0 else (1.0, 0.0)
     forward, left = arc(speed, acceleration, turn_rate, h)
     state[0] += c * forward - s * left
     state[1] += s * forward + c * left

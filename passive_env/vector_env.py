@@ -19,6 +19,9 @@ from passive_env.observations import Field
 from passive_env.scenario import Scenario
 from trackers.compiled import Blocks
 
+BLOCK = 512
+"""Sub-environments stepped in one go: fewer would pay more for every call, more would outgrow a core's cache."""
+
 
 class PassiveVectorEnv(VectorEnv):
     """`num_envs` episodes of a scenario at once; see `passive_env.env.PassiveEnv` for spaces, reward and info.
@@ -67,7 +70,7 @@ class PassiveVectorEnv(VectorEnv):
         self.single_action_space = self.simulation.actions.space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.blocks = Blocks(num_envs, threads=threads)
+        self.blocks = Blocks(num_envs, block=BLOCK, threads=threads)
         self._worlds: list[World] | None = None
         self._views: list[np.ndarray] = []  # observations of the worlds, block by block
         self._done = np.zeros(num_envs, dtype=bool)

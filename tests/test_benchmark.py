@@ -15,6 +15,7 @@ from agents.benchmark import MEASUREMENTS, filters, run_benchmark
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, meets
 from agents.benchmark.timing import QUICK, Effort, take_turns
 from agents.cli import main
+from agents.planner import Planner
 from trackers import Gaussian, measurement
 from trackers.association import PRUNED
 from trackers.compiled import Blocks
@@ -71,6 +72,9 @@ def test_every_goal_in_use_can_be_read(sections):
     assert all(isinstance(meets(result.value, result.goal), bool) for result in results if result.goal)
     assert goals["bearing_updates_one_core"] == ">= 10"
     assert goals["vector_env_random_actions"] == ">= 250000"
+    assert goals["ownship_random_actions"] == ">= 1000000"
+    assert goals["greedy_decision"] == "< 30"
+    assert goals["planner_decision"] == "< 200"
     assert goals["single_env_step"] == "<= 60"
     assert goals["table_1_monte_carlo_50_runs"] == "< 0.2"
     assert goals["ppo_steps"] == ">= 20000"
@@ -218,6 +222,19 @@ def test_missing_libraries_are_noted_with_the_remedy(monkeypatch):
     assert section.results == []
     assert [re.search(r"^(.*) is not installed", note).group(1) for note in section.notes] == ["Stone Soup", "filterpy"]
     assert all("pip install passive-env[bench]" in note for note in section.notes)
+
+
+def test_planner_plans_anew_in_every_timed_decision(monkeypatch):
+    """A decision that only steers along an old plan would flatter the figure."""
+    planned, replan = [], Planner._replan
+
+    def watched(self, belief, due, begun):
+        planned.append(len(due))
+        replan(self, belief, due, begun)
+
+    monkeypatch.setattr(Planner, "_replan", watched)
+    MEASUREMENTS["decisions"](TINY)
+    assert planned == [TINY.num_envs] * (TINY.rounds + 1)
 
 
 def test_memory_is_the_sum_of_tape_and_state(sections):

@@ -12,7 +12,14 @@ from typing import Any
 
 from tqdm import tqdm
 
-from agents.benchmark.environments import measure_memory, measure_resets, measure_single, measure_vector
+from agents.benchmark.environments import (
+    measure_decisions,
+    measure_memory,
+    measure_one_platform,
+    measure_resets,
+    measure_single,
+    measure_vector,
+)
 from agents.benchmark.filters import measure_monte_carlo, measure_rivals, measure_updates
 from agents.benchmark.learning import measure_ppo
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, write_benchmark
@@ -24,6 +31,8 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "other libraries": measure_rivals,
     "Table 1 Monte Carlo": measure_monte_carlo,
     "vector environment": measure_vector,
+    "one platform": measure_one_platform,
+    "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,
     "memory": measure_memory,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -10,10 +10,12 @@ import numpy as np
 
 from agents.benchmark.results import Result, Section
 from agents.benchmark.timing import Effort, Task, seconds, take_turns
+from agents.greedy import Greedy
+from agents.planner import Planner
 from passive_env.catalogue import environment_id
 from passive_env.vector_env import PassiveVectorEnv
 
-SCENARIO = "TwoStation"
+SCENARIO, ONE_PLATFORM = "TwoStation", "Ownship"
 
 
 def measure_vector(effort: Effort) -> Section:
@@ -27,14 +29,46 @@ def measure_vector(effort: Effort) -> Section:
         for kind in ("random", "zero")
         for suffix, env in wide.items()
     }
-    steps = effort.num_envs * wide[""].scenario.steps
-    rates = {name: steps / float(np.median(times)) for name, times in take_turns(tasks, effort.rounds).items()}
-    goals = {"vector_env_random_actions": ">= 250000"}
-    return Section([Result(name, rate, "env-steps/s", goals.get(name)) for name, rate in rates.items()])
+    return Section(_rates(tasks, effort, wide[""].scenario.steps, {"vector_env_random_actions": ">= 250000"}))
 
 
-def _begun(effort: Effort, threads: int | None) -> PassiveVectorEnv:
-    env = PassiveVectorEnv(SCENARIO, num_envs=effort.num_envs, threads=threads)
+def measure_one_platform(effort: Effort) -> Section:
+    """Environment steps per second where one platform tracks one target, windows as in `measure_vector`."""
+    wide = {"": _begun(effort, None, ONE_PLATFORM), "_one_thread": _begun(effort, 1, ONE_PLATFORM)}
+    tasks = {f"ownship_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
+    return Section(_rates(tasks, effort, wide[""].scenario.steps, {"ownship_random_actions": ">= 1000000"}))
+
+
+def _rates(tasks: Mapping[str, Task], effort: Effort, steps: int, goals: Mapping[str, str]) -> list[Result]:
+    """Environment steps per second of windows of `steps` steps."""
+    times = take_turns(tasks, effort.rounds)
+    rates = {name: effort.num_envs * steps / float(np.median(taken)) for name, taken in times.items()}
+    return [Result(name, rate, "env-steps/s", goals.get(name)) for name, rate in rates.items()]
+
+
+def measure_decisions(effort: Effort) -> Section:
+    """Time of one decision of the greedy policy and of the planner for all environments at an episode's start.
+
+    Every environment plans anew, to the episode's end; between such decisions the planner only steers.
+    """
+    env = _begun(effort, None, ONE_PLATFORM)
+    belief, observation = env.belief(), np.zeros(env.observation_space.shape)  # type: ignore[arg-type]
+
+    def decision(policy: Any) -> Task:
+        def prepare() -> Any:
+            policy.reset(belief)
+            return lambda: policy.act(belief, observation)
+
+        return prepare
+
+    tasks = {"greedy_decision": decision(Greedy(env.scenario)), "planner_decision": decision(Planner(env.scenario))}
+    goals = {"greedy_decision": "< 30", "planner_decision": "< 200"}
+    times = take_turns(tasks, effort.rounds)
+    return Section([Result(name, 1e3 * float(np.median(taken)), "ms", goals[name]) for name, taken in times.items()])
+
+
+def _begun(effort: Effort, threads: int | None, scenario: str = SCENARIO) -> PassiveVectorEnv:
+    env = PassiveVectorEnv(scenario, num_envs=effort.num_envs, threads=threads)
     env.reset(seed=0)
     return env
 
