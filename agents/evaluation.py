@@ -34,6 +34,8 @@ COLLAPSE_NEES = float(chi2.ppf(0.9999, df=4))
 
 NEES_BAND = tuple(float(edge) for edge in chi2.ppf([0.025, 0.975], df=4))
 """Where 95 % of an honest tracker's NEES lie."""
+NEES_MEDIAN = float(chi2.median(df=4))
+"""What half of them lie below."""
 
 RESAMPLES = 2000
 

@@ -247,12 +247,24 @@ def _panel(axes: Axes, episode: EpisodePaths, frame: render.Frame) -> None:
     for state, text in zip(_final_states(stations), render.station_names(stations.shape[1]), strict=True):
         render.place_dart(axes.plot([], [], **render.marker(INK))[0], state)
         render.place_name(render.name_tag(axes, text, INK), state, stations[-1].mean(0), frame)
+    numbers = []
     for j, (state, color) in enumerate(zip(_final_states(targets), colors, strict=True)):
         render.place_dart(axes.plot([], [], **render.marker(color))[0], state)
-        render.place_number(render.name_tag(axes, str(j + 1), color), state, stations[-1, -1])
+        numbers.append(render.name_tag(axes, str(j + 1), color))
+        render.place_number(numbers[j], state, stations[-1, -1])
     rings = [axes.plot([], [], **render.ring(color, 12.0))[0] for color in colors]
     notes = [render.name_tag(axes, "", color) for color in colors]
     render.place_estimates(rings, notes, stations[-1, -1], estimates[-1], frame)
+    for number, note in zip(numbers, notes, strict=True):
+        _clear(number, note)
+
+
+def _clear(number: Any, note: Any) -> None:
+    """Move a target's number to the other side of its dart if the note on an estimate off the picture is there."""
+    x, y = number.get_position()
+    below = note.get_va() == "top"
+    if note.get_text() and (y < 0.0) == below:
+        number.set_position((-x, -y))
 
 
 def _segments(path_m: np.ndarray) -> list[np.ndarray]:

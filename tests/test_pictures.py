@@ -177,6 +177,22 @@ def test_an_estimate_far_off_changes_no_axes():
     assert_is_picture(far)
 
 
+def test_number_of_a_target_keeps_clear_of_the_note_on_its_estimate():
+    """Estimates far to the east of a target near the eastern edge, north and south of the middle."""
+    for north in (1.0, -1.0):
+        shown = episode()._replace(stations=np.array([1.0, north]) * episode().stations)
+        shown = shown._replace(targets=np.array([1.0, north]) * shown.targets)
+        for side in (1.0, -1.0):
+            estimates = shown.targets + np.array([90e3, side * 20e3])
+            axes = geometry(TIME_S, {"x": shown._replace(estimates=estimates)}, "Title").axes[0]
+            axes.figure.canvas.draw()
+            notes = [text for text in axes.texts if text.get_text().endswith(" km")]
+            numbers = [text for text in axes.texts if text.get_text() in ("1", "2", "3")]
+            assert len(notes) == len(numbers) == 3
+            for note, number in zip(notes, numbers, strict=True):
+                assert (number.get_position()[1] > 0.0) == (note.get_va() == "top")
+
+
 def test_geometry_of_one_instant():
     whole = episode()
     at_start = EpisodePaths(
