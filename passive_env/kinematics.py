@@ -18,10 +18,12 @@ def arc(speed, acceleration, turn_rate, h):
 
     A series is used where |ωh| is too small for the closed form's differences.
     """
-    w, turned = turn_rate, turn_rate * h
-    if abs(turned) < 1e-4:
+    turned = turn_rate * h
+    straight = abs(turned) < 1e-4
+    w = 1.0 if straight else turn_rate  # compiled code may compute both branches: no 0/0, not even one thrown away
+    if straight:
         forward = speed * h + 0.5 * acceleration * h * h
-        return forward, w * h * h * (0.5 * speed + acceleration * h / 3.0)
+        return forward, turn_rate * h * h * (0.5 * speed + acceleration * h / 3.0)
     c, s = math.cos(turned), math.sin(turned)
     end = speed + acceleration * h
     return (
