@@ -445,6 +445,22 @@ def test_kernel_refuses_a_layout_that_does_not_fit_its_dtypes():
         Kernel(double, "()->()", "fff")(1.0)
 
 
+def test_kernel_of_dense_arrays_takes_strided_and_other_numbers():
+    """Its compiled code ignores strides: what does not lie in one piece must be copied first."""
+    rng = np.random.default_rng(8)
+    mean, cov, log_w = rng.standard_normal((5, 3, 4)), random_cov(rng, 5, 3), np.log(rng.dirichlet(np.ones(3), 5))
+    wanted = rp_ekf.estimate(Bank(mean, cov, log_w))
+    strided = Bank(*(np.repeat(part, 2, axis=-1)[..., ::2] for part in (mean, cov, log_w)))
+    assert not any(part.flags.c_contiguous for part in strided)
+    turned = Bank(mean.swapaxes(0, 1).copy().swapaxes(0, 1), np.asfortranarray(cov), log_w)
+    for bank in (strided, turned):
+        for found, right in zip(rp_ekf.estimate(bank), wanted, strict=True):
+            np.testing.assert_array_equal(found, right)
+    whole = Bank(np.arange(12).reshape(3, 4), cov[0], log_w[0])
+    as_float = rp_ekf.estimate(whole._replace(mean=whole.mean.astype(float)))
+    np.testing.assert_array_equal(rp_ekf.estimate(whole).mean, as_float.mean)
+
+
 def test_kernel_refuses_arrays_that_do_not_fit_its_layout():
     with pytest.raises(ValueError):
         predict(Gaussian(np.zeros(4), np.zeros((3, 4))), 1.0, 1.0)

@@ -132,7 +132,7 @@ def test_sub_environments_do_not_depend_on_the_width_of_the_batch():
 
 @over_modes
 def test_threads_change_nothing(mode):
-    one, two = (PassiveVectorEnv(num_envs=600, autoreset_mode=mode, threads=threads, **ROUGH) for threads in (1, 2))
+    one, two = (PassiveVectorEnv(num_envs=1100, autoreset_mode=mode, threads=threads, **ROUGH) for threads in (1, 2))
     assert len(one.blocks.slices) == 3
     assert len(two.blocks.slices) == 4
     assert (one.blocks.threads, two.blocks.threads) == (1, 2)
