@@ -16,7 +16,7 @@ from passive_env.catalogue import environment_id, make_scenario, scenario_name
 from passive_env.core import Simulation
 
 HELD_OUT = "held-out"
-FINAL_SEED = 1_000_000
+FINAL_SEED = 30_000_000
 """Seed of the first episode of final evaluations."""
 
 
