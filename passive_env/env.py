@@ -17,7 +17,8 @@ from passive_env.scenario import Scenario
 class PassiveEnv(gym.Env[np.ndarray, Any]):
     """One episode of a passive-tracking scenario.
 
-    Observation: ``Box(-5, 5, (d,), float32)``, a function of the belief only; `observation_fields` names every number.
+    Observation: ``Box(-5, 5, (d,), float32)``, a function of the belief only; `observation_fields` names every number,
+        `passive_env.observations.TrackObservation` lists them with units and scales.
     Action: ``Box(-1, 1, (a,), float32)``, one turn rate per platform as a share of its limit, counter-clockwise +
         (``actions="discrete"``: `MultiDiscrete`, three rates per platform).
     Reward: weighted terms (`passive_env.rewards`); ``info["reward_terms"]`` shows each. Default: −log(range error /

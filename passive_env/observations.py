@@ -146,8 +146,26 @@ class TrackObservation:
     """Platforms and tracks relative to the mean line of sight, whole track covariances in their line-of-sight frames.
 
     The mean line of sight ψ runs from the platforms' midpoint to the middle of the tracks; the reference platform is
-    the last one. Fields, in order: see `fields`. With one platform and one track ψ is the track's line of sight, so the
-    track's bearing is left out.
+    the last one. With one platform and one track ψ is the track's line of sight, so the track's bearing is left out.
+
+    Fields in order (`fields` names each with its unit and scale); N is a platform's, track's or disc's number, AXIS
+    one of radial, cross, radial_velocity, cross_velocity:
+
+        time_left                                        1    share of the episode's steps
+        platformN.along platformN.across                 m    position relative to the reference / 20 km
+        platformN.heading_cos platformN.heading_sin      1    of heading − ψ
+        last_actionN                                     1    previous action
+        trackN.log_range                                 m    log(range from the reference / 50 km)
+        trackN.bearing_cos trackN.bearing_sin            1    of line of sight − ψ
+        trackN.radial_velocity trackN.cross_velocity     m/s  along and left of the line of sight / 300 m/s
+        trackN.log_rangeN                                m    log(range from another platform / 50 km)
+        trackN.crossing_sinN                             1    sine of the angle to that platform's line of sight
+        trackN.log_std_AXIS                              m    log(standard deviation / 1 km or 50 m/s) / 2
+        trackN.corr_AXIS_AXIS                            1    correlation coefficient
+        trackN.assignedN                                 1    1 if the platform's bearing updated the track
+        discN.along discN.across                         m    centre of a no-go disc, as of platforms
+
+    Platforms' positions, ranges and crossing angles are of all but the reference. Values are clipped to ±5.
     """
 
     def __init__(self, stations: int, targets: int, actions: int, steps: int, discs: int = 0):

@@ -4,6 +4,7 @@ import dataclasses
 import importlib.util
 import itertools
 import math
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
 from passive_env.kinematics import maneuver, turn
 from passive_env.metrics import Metrics, violations
+from passive_env.observations import TrackObservation
 from passive_env.rewards import TERMS, Moment
 from passive_env.sensors import sense
 from trackers import Gaussian, Scan, Tracker, Update
@@ -894,6 +896,17 @@ def test_a_users_tracker_may_keep_its_state_in_a_dataclass():
     for _ in range(3):
         assert np.array_equal(*(env.step(np.full((300, 2), 0.3))[0] for env in (plain, boxed)))
     assert np.array_equal(boxed.world.track_state.tracks.mean, plain.world.track_state.mean)
+
+
+def test_the_observations_docstring_lists_every_field():
+    text = TrackObservation.__doc__ or ""
+    rows = re.findall(r"^        ((?:\w+\.?\w* )+)", text, re.MULTILINE)
+    listed = {name for row in rows for name in row.split()}
+    observations = (TrackObservation(2, 3, 2, 45), TrackObservation(1, 2, 1, 60, discs=1))
+    names = {re.sub(r"\d+", "N", field.name) for observation in observations for field in observation.fields}
+    axis = "(?:radial|cross)(?:_velocity)?"
+    names = {re.sub(rf"log_std_{axis}$", "log_std_AXIS", name) for name in names}
+    assert {re.sub(rf"corr_{axis}_{axis}$", "corr_AXIS_AXIS", name) for name in names} == listed
 
 
 @pytest.mark.parametrize("verb", ["initiate", "predict", "update", "estimate"])
