@@ -35,7 +35,7 @@ from trackers.gaussian import Gaussian
 from trackers.linalg import LOG_TWO_PI
 from trackers.outliers import CONDITIONED, COPLANARITY, NO_TEST, TESTS, coplanarity
 
-MAX_RETURNS = 32
+MAX_RETURNS = 64
 """Returns of one sensor that are weighed; of more in its gate the nearest are kept and the rest counted."""
 
 SURE = 1e-12
