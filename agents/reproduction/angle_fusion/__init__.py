@@ -22,9 +22,9 @@ __all__ = ["TRIALS", "print_angle_fusion", "reproduce_angle_fusion"]
 
 TRIALS: dict[str, Trial] = {
     "ekf": Trial("angle_ekf"),
-    "ekf_90": Trial("angle_ekf", availability=0.9),
+    "ekf_dropouts": Trial("angle_ekf", availability=0.9),
     **{f"pdaf_{n}": Trial(clutter=n) for n in (1, 2, 4, 6, 8, 10)},
-    "pdaf_90": Trial(clutter=8, availability=0.9),
+    "pdaf_dropouts": Trial(clutter=8, availability=0.9),
     "pdaf_narrow": Trial(settings=(("gate", 9.21),), clutter=8),
     "pdaf_missing": Trial(clutter=8, detection=0.9),
     **{f"pdaf_noise_{noise:g}": Trial(settings=(("process_noise", noise),), clutter=8) for noise in (10.0, 1.0)},

@@ -84,7 +84,7 @@ def agrees(record: Record, share: float, runs: int) -> bool:
 
 
 def _clean_claims(records: Mapping[str, Record], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    clean, dropouts = records["ekf"], records["ekf_90"]
+    clean, dropouts = records["ekf"], records["ekf_dropouts"]
     ours, mean = clean.rmse()[ROWS], float(clean.rmse().mean())
     low, high = rmse_interval(clean, rng)
     interval = (low[ROWS], high[ROWS])

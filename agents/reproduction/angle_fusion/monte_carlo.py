@@ -232,7 +232,7 @@ def start_bound() -> np.ndarray:
     return bound_start(PATHS.target[0], PATHS.platforms[0], np.full((2, 2), ANGLE_STD), VELOCITY_STD_M_S)
 
 
-def range_bound(process_noise: float = PROCESS_NOISE, available=1.0) -> np.ndarray:
+def range_bound(process_noise: float = PROCESS_NOISE, available: Any = 1.0) -> np.ndarray:
     """Posterior Cramér–Rao bound [k] m on the range from platform 1, k = 1 … 40.
 
     Args:

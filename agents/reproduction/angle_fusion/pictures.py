@@ -13,6 +13,7 @@ from agents.reproduction.angle_fusion.monte_carlo import STEPS, Record, range_bo
 from passive_env.palette import BLUE, GREEN, INK, PURPLE, VERMILION
 
 SCAN = np.arange(1, STEPS + 1)
+TICKS = (0, 1, 2, 3, 4, 5, 10, 20, 50, 100)
 
 
 def all_pictures(records: Mapping[str, Record]) -> dict[str, Figure]:
@@ -47,6 +48,9 @@ def lost_picture(records: Mapping[str, Record]) -> Figure:
     axes.axvline(9.0, color=PURPLE, linestyle=":")
     _dress(axes, "Figure 1: lost tracks", "validated returns per sensor", "lost tracks [%]")
     axes.set_xlim(0.0, 14.0)
+    axes.set_yscale("symlog", linthresh=5.0)
+    axes.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    axes.set_ylim(0.0, 120.0)
     return figure
 
 
@@ -72,9 +76,9 @@ def dropout_picture(records: Mapping[str, Record]) -> Figure:
     figure, axes = _figure()
     for name, label, color, style in (
         ("ekf", "no clutter, sensor 2 always", INK, "-"),
-        ("ekf_90", "no clutter, sensor 2 at 90 %", VERMILION, "--"),
+        ("ekf_dropouts", "no clutter, sensor 2 at 90 %", VERMILION, "--"),
         ("pdaf_8", "8 false returns, sensor 2 always", BLUE, "-"),
-        ("pdaf_90", "8 false returns, sensor 2 at 90 %", GREEN, "--"),
+        ("pdaf_dropouts", "8 false returns, sensor 2 at 90 %", GREEN, "--"),
     ):
         axes.plot(SCAN, records[name].rmse(), style, color=color, label=label)
     _dress(axes, "Figure 3: range error with dropouts", "scan", "RMSE of range from platform 1 [m]", log=True)
