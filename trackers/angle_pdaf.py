@@ -256,11 +256,11 @@ def mix(x, P, P_h, weights, columns, mean, spread, x_out, P_out):
 
 
 @kernel(
-    "(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(s),(),(),(),(),(),()"
+    "(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(s),(s),(),(),(),(),()"
     "->(x6),(x6,x6),(s,a2),(s,a2,a2),(),(s),(s),(s),(s)",
-    "FFFBFFBFfffbifFFFFfIIFI",
+    "FFFBFFBFFffbifFFFFfIIFI",
 )
-def _average(x, P, angles, valid, platforms, std, available, density, gamma, fused_gamma, p_d, nearest, test, limit,
+def _average(x, P, angles, valid, platforms, std, available, density, p_d, gamma, fused_gamma, nearest, test, limit,
              x_out, P_out, nu_out, S, evidence, assignment, validated, missed, dropped):  # fmt: skip
     H, columns, roots = np.empty((2, 2, 3)), np.zeros((6, 6)), np.ones((3, 2))
     P_h, cross = np.empty((3, 6, 6)), np.zeros(3)
@@ -282,7 +282,7 @@ def _average(x, P, angles, valid, platforms, std, available, density, gamma, fus
             )
         kept[s] = min(inside, MAX_RETURNS)
         validated[s], dropped[s] = inside, inside - kept[s]
-        hits[s], misses[s] = log_factors(roots[own], area, available[s], gamma, density[s], inside, p_d)
+        hits[s], misses[s] = log_factors(roots[own], area, available[s], gamma, density[s], inside, p_d[s])
     u, t = np.empty((kept[1], 2)), np.empty((kept[0], 2))
     if two:
         P_h[1] = P_h[0]
@@ -329,13 +329,16 @@ def report(w, s, kept, slots, nu, nu_out, assignment, missed):
             assignment[s] = slots[k - 1] if k > 0 else -1
 
 
-def associate_directions(prior: Gaussian, scan: AngleScan, settings: AngleFilter, nearest: bool = False):
+def associate_directions(
+    prior: Gaussian, scan: AngleScan, settings: AngleFilter, detection_probability, nearest: bool = False
+):
     """Condition tracks on a scan of one or two sensors' returns.
 
     Args:
         prior: mean [..., 6], cov [..., 6, 6].
         scan: leading axes as the prior's.
-        settings: gates, P_D, clutter, outlier test.
+        settings: gates, clutter, outlier test.
+        detection_probability: [s], in (0, 1].
         nearest: take the nearest pair (else the nearest return) for the target's instead of averaging.
     Returns:
         posterior mean and cov, then the fields of `AngleUpdate` after the posterior.
@@ -352,7 +355,7 @@ def associate_directions(prior: Gaussian, scan: AngleScan, settings: AngleFilter
     test, limit = TESTS[settings.outlier_test] if settings.outlier_test else (NO_TEST, np.inf)
     return _average(
         prior.mean, prior.cov, scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available, density,
-        settings.gate, settings.fused_gate, settings.detection_probability, nearest, test, limit,
+        detection_probability, settings.gate, settings.fused_gate, nearest, test, limit,
     )  # fmt: skip
 
 
@@ -370,7 +373,7 @@ class AnglePdaf(AngleFilter):
 
     def _associate(self, state: Gaussian, scan: AngleScan, nearest: bool) -> AngleUpdate:
         scan = scan.over_tracks()
-        mean, cov, *rest = associate_directions(state, scan, self, nearest)
+        mean, cov, *rest = associate_directions(state, scan, self, self.detection(scan), nearest)
         return AngleUpdate(self.renew(Gaussian(mean, cov), scan), *rest)
 
 
@@ -397,10 +400,10 @@ class AnglePdafSequential(AnglePdaf):
 
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Weigh the returns of every sensor in turn."""
-        whole, parts = scan.over_tracks(), []
+        whole, parts, p_d = scan.over_tracks(), [], self.detection(scan)
         posterior = state
         for s in range(np.shape(scan.platforms)[-2]):
-            mean, cov, *rest = associate_directions(posterior, whole.sensor(s), self)
+            mean, cov, *rest = associate_directions(posterior, whole.sensor(s), self, p_d[s : s + 1])
             posterior = Gaussian(mean, cov)
             parts.append(rest)
         nu, S, evidence, *counts = zip(*parts, strict=True)
