@@ -274,7 +274,7 @@ def _average(x, P, angles, valid, platforms, std, available, density, p_d, gamma
         predicted = linearize_direction(x, platforms[s], H[s])
         area = math.pi * gamma * math.sqrt(innovation_cov(P, H[s], std[s], S[s]))
         at = columns[2 * own : 2 * own + 2]
-        cross[own] = sensor_gain(P_h[s], H[s], std[s], available[s], at, roots[own])
+        cross[own] = sensor_gain(P_h[own], H[s], std[s], available[s], at, roots[own])
         inside = 0
         if available[s, 0] or available[s, 1]:
             inside = keep_nearest(
