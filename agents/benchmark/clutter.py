@@ -34,7 +34,7 @@ class Scene(NamedTuple):
 
 
 def make_scene(returns: int, tracks: int = TRACKS, seed: int = 0) -> Scene:
-    """Targets some 25 km ahead of two platforms 6 km abreast; one own and otherwise false returns, all in the gates."""
+    """Targets some 25 km ahead of two platforms 6 km abreast; one own and otherwise false returns, in the gates."""
     rng = np.random.default_rng(seed)
     mean = np.array([25e3, -3e3, 8e3, -150.0, 0.0, 0.0]) + rng.normal(
         0.0, [2e3, 2e3, 5e2, 30.0, 30.0, 5.0], (tracks, 6)
