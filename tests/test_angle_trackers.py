@@ -816,6 +816,23 @@ def test_settings_that_do_not_fit_the_scan_are_refused():
         AngleEkf().predict(Gaussian(track.mean[..., :4], track.cov[..., :4, :4]), 2.0)
 
 
+@pytest.mark.parametrize("name", ANGLE_TRACKERS)
+def test_numbers_that_are_none_are_refused_before_they_spread(name):
+    tracker, track = ANGLE_TRACKERS[name](), random_tracks(np.random.default_rng(30), 2, 1)
+    good = make_scan(np.full((2, 2, 3, 2), 0.1))
+    for field, at, value, words in (
+        ("angles", (1, 0, 2, 1), math.nan, r"scan.angles\[1, 0, 2, 1\] is nan: must be finite"),
+        ("platforms", (0, 1, 2), math.inf, r"scan.platforms\[0, 1, 2\] is inf: must be finite"),
+        ("angle_std", (1, 1, 0), 0.0, r"scan.angle_std\[1, 1, 0\] is 0.0: must be positive"),
+        ("angle_std", (1, 1, 0), math.nan, r"scan.angle_std\[1, 1, 0\] is nan: must be positive"),
+    ):
+        bad = getattr(good, field).copy()
+        bad[at] = value
+        for call in (tracker.initiate, lambda scan: tracker.update(track, scan)):
+            with pytest.raises(ValueError, match=words):
+                call(good._replace(**{field: bad}))
+
+
 def test_clutter_density_that_is_unknown_is_estimated():
     """Zero, NaN and clutter_known=False all mean m/V."""
     rng = np.random.default_rng(29)

@@ -64,6 +64,7 @@ class AngleFilter(ABC):
 
     def initiate(self, scan: AngleScan) -> Gaussian:
         """One track [..., 1, 6] at the fix of the scan's returns; see `triangulation_3d` for a fix that fails."""
+        scan.check()
         start = start_tracks(scan, self.floor_m, self.cap_m, np.array(self.initial_velocity_std))
         return Gaussian(start.mean[..., None, :], start.cov[..., None, :, :])
 
