@@ -1,6 +1,8 @@
 """Passive-sensor trackers: arrays in, arrays out; usable without any environment."""
 
 from trackers.adaptive_rp_ekf import AdaptiveRpEkf, ModelBank
+from trackers.angle_contract import AngleScan, AngleTracker, AngleUpdate
+from trackers.angle_ekf import AngleEkf
 from trackers.contract import Scan, Tracker, Update
 from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
@@ -12,9 +14,17 @@ DISTRIBUTION = "passive-env"
 TRACKERS: dict[str, type[RpEkf]] = {"rp_ekf": RpEkf, "fused_ekf": FusedEkf, "rp_ekf_adaptive": AdaptiveRpEkf}
 """Trackers an environment takes by name."""
 
+ANGLE_TRACKERS: dict[str, type[AngleEkf]] = {"angle_ekf": AngleEkf}
+"""Trackers on azimuth and elevation an environment takes by name."""
+
 __all__ = [
+    "ANGLE_TRACKERS",
     "TRACKERS",
     "AdaptiveRpEkf",
+    "AngleEkf",
+    "AngleScan",
+    "AngleTracker",
+    "AngleUpdate",
     "Bank",
     "FusedEkf",
     "Gaussian",
