@@ -116,5 +116,6 @@ def _demonstrations(
     x, y, earned = np.array(observations), np.array(commands), np.array(rewards, dtype=np.float32)
     if mirror:
         x = np.concatenate([x, env.simulation.observation.mirrored(x)], axis=1)
-        y, earned = np.concatenate([y, -y], axis=1), np.concatenate([earned, earned], axis=1)
+        y = np.concatenate([y, env.simulation.actions.mirrored(y)], axis=1)
+        earned = np.concatenate([earned, earned], axis=1)
     return x, env.simulation.actions.encode(y), earned
