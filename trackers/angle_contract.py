@@ -41,11 +41,14 @@ class AngleScan(NamedTuple):
 
     def sensor(self, s: int) -> AngleScan:
         """The part of one sensor, its axis kept."""
+        at = slice(s, s + 1)
         return AngleScan(
-            self.angles[..., s : s + 1, :, :],
-            self.valid[..., s : s + 1, :],
-            *(part[..., s : s + 1, :] for part in self[2:5]),
-            self.clutter_density[..., s : s + 1],
+            self.angles[..., at, :, :],
+            self.valid[..., at, :],
+            self.platforms[..., at, :],
+            self.angle_std[..., at, :],
+            self.available[..., at, :],
+            self.clutter_density[..., at],
         )
 
 

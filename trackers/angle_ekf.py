@@ -16,19 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackers.angle_contract import AngleScan, AngleUpdate
+from trackers.angle_filter import AngleFilter
 from trackers.angles import wrap_scalar
 from trackers.compiled import kernel
-from trackers.direction import absorb, along, innovation_cov, linearize_direction
+from trackers.direction import absorb, innovation_cov, linearize_direction, moved
 from trackers.gaussian import Gaussian
 from trackers.linalg import LOG_TWO_PI
-from trackers.motion_3d import predict_3d
-from trackers.triangulation_3d import first_valid, start_tracks
+from trackers.outliers import TESTS, first_valid, outlier_distances
 
 
-@kernel(
-    "(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2)->(x6),(x6,x6),(s,a2),(s,a2,a2),(),(s),(s)", "FFFBFFBFFFFfII"
-)
-def _update(x, P, angles, valid, platforms, std, available, x_out, P_out, nu, S, log_likelihood, slot, seen):
+@kernel("(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2)->(x6),(x6,x6),(s,a2),(s,a2,a2),(),(s)", "FFFBFFBFFFFfI")
+def _update(x, P, angles, valid, platforms, std, available, x_out, P_out, nu, S, log_likelihood, slot):
     H, column = np.empty((2, 3)), np.empty(6)
     x_out[:] = x
     P_out[:] = P
@@ -37,16 +35,15 @@ def _update(x, P, angles, valid, platforms, std, available, x_out, P_out, nu, S,
         h = linearize_direction(x, platforms[s], H)
         innovation_cov(P, H, std[s], S[s])
         k = first_valid(valid[s])
-        slot[s], seen[s] = -1, 0
+        slot[s] = -1
         for c in range(2):
             nu[s, c] = 0.0
             if k < 0 or not available[s, c]:
                 continue
-            slot[s], seen[s] = k, 1
+            slot[s] = k
             nu[s, c] = wrap_scalar(angles[s, k, c] - h[c])
             root = absorb(P_out, H[c], std[s, c] * std[s, c], column)
-            moved = H[c, 0] * (x_out[0] - x[0]) + H[c, 1] * (x_out[1] - x[1]) + H[c, 2] * (x_out[2] - x[2])
-            y = (nu[s, c] - moved) / root
+            y = (nu[s, c] - moved(H[c], x, x_out)) / root
             for i in range(6):
                 x_out[i] += column[i] * y
             log_likelihood[0] -= 0.5 * (LOG_TWO_PI + y * y) + math.log(root)
@@ -60,44 +57,26 @@ def update_directions(prior: Gaussian, scan: AngleScan):
         scan: leading axes as the prior's.
     Returns:
         posterior mean and cov, innovations [..., s, 2], their covariances [..., s, 2, 2], log-likelihood [...],
-        slots used [..., s] (−1 for none) and their number [..., s].
+        slots used [..., s], −1 for none.
     """
-    return _update(
-        prior.mean, prior.cov, scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available
-    )  # fmt: skip
+    return _update(prior.mean, prior.cov, scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available)
 
 
 @dataclass(frozen=True)
-class AngleEkf:
-    """Fused EKF with availability on the first valid return of every sensor (`trackers.angle_contract.AngleTracker`).
+class AngleEkf(AngleFilter):
+    """Fused EKF with availability on the first valid return of every sensor, whatever its distance.
 
-    Settings, SI units:
-        process_noise: √q [m/s²], acceleration held over a step, per axis.
-        initial_velocity_std: east, north, up [m/s]; the first velocity is 0.
-        floor_m, cap_m: nearest and farthest range of interest, for the first position.
+    For scans without false returns (`trackers.angle_contract.AngleTracker`). With an `outlier_test` a sensor that
+    contradicts sensor 0 is left out of the scan. Settings as in `AngleFilter`; gates are not used.
     """
-
-    process_noise: float = 30.0
-    initial_velocity_std: tuple[float, float, float] = (200.0, 200.0, 50.0)
-    floor_m: float = 1.0e3
-    cap_m: float = 1.0e5
-
-    def initiate(self, scan: AngleScan) -> Gaussian:
-        """One track [..., 1, 6] at the fix of the scan's first returns."""
-        start = start_tracks(scan, self.floor_m, self.cap_m, np.array(self.initial_velocity_std))
-        return Gaussian(start.mean[..., None, :], start.cov[..., None, :, :])
-
-    def predict(self, state: Gaussian, step_s) -> Gaussian:
-        """Propagate all tracks by one step."""
-        return predict_3d(state, step_s, self.process_noise)
-
-    def estimate(self, state: Gaussian) -> Gaussian:
-        """Mean [..., m, 6] and covariance [..., m, 6, 6]."""
-        return state
 
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Condition every track on the scan."""
-        mean, cov, nu, S, log_likelihood, slot, seen = update_directions(state, scan.over_tracks())
-        return AngleUpdate(
-            Gaussian(mean, cov), nu, S, log_likelihood, slot, seen, 1.0 - seen, np.zeros_like(seen)
-        )  # fmt: skip
+        scan = scan.over_tracks()
+        if self.outlier_test is not None:
+            accepted = outlier_distances(state, scan, self.outlier_test) <= TESTS[self.outlier_test][1]
+            scan = scan._replace(available=scan.available & accepted[..., None])
+        mean, cov, nu, S, log_likelihood, slot = update_directions(state, scan)
+        seen = (slot >= 0).astype(np.int64)
+        posterior = self.renew(Gaussian(mean, cov), scan)
+        return AngleUpdate(posterior, nu, S, log_likelihood, slot, seen, 1.0 - seen, np.zeros_like(seen))

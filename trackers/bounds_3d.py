@@ -11,8 +11,6 @@ Source: Tichavský, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5), 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from trackers.compiled import helper, kernel
@@ -82,7 +80,7 @@ def _shares(available, angle_std):
 
 
 def range_std_3d(cov, truth, platform):
-    """Standard deviation √(uᵀCu) [...] m of the range from `platform` [..., 3] for cov [..., 6, 6] at truth [..., 6]."""
+    """Standard deviation √(uᵀCu) [...] m of the range from `platform` [..., 3]; cov [..., 6, 6], truth [..., 6]."""
     d = np.asarray(truth)[..., :3] - platform
     u = d / np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1.0)
     return np.sqrt(np.maximum(np.einsum("...i,...ij,...j->...", u, np.asarray(cov)[..., :3, :3], u), 0.0))

@@ -88,6 +88,12 @@ def along(h, column):
     return h[0] * column[0] + h[1] * column[1] + h[2] * column[2]
 
 
+@helper
+def moved(h, x, x_new):
+    """h·(x_new − x) over position: the part of an innovation that other components have already explained."""
+    return h[0] * (x_new[0] - x[0]) + h[1] * (x_new[1] - x[1]) + h[2] * (x_new[2] - x[2])
+
+
 class DirectionGate(NamedTuple):
     """Where a sensor expects its target.
 

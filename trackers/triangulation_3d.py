@@ -19,6 +19,7 @@ from trackers.compiled import helper, kernel
 from trackers.direction import linearize_direction, sight_line
 from trackers.gaussian import Gaussian
 from trackers.linalg import cholesky_in_place
+from trackers.outliers import coplanarity, first_valid
 
 ITERATIONS = 25
 
@@ -46,7 +47,7 @@ def solve_3(A, b, factor):
     factor[:] = A
     cholesky_in_place(factor)
     for i in range(3):
-        if not factor[i, i] * factor[i, i] > 1e-12 * A[i, i]:
+        if not factor[i, i] * factor[i, i] > 1e-12 * A[i, i] + 1e-200:
             return False
     for i in range(3):
         for k in range(i):
@@ -170,24 +171,99 @@ def start_into(angles, used, platforms, std, floor, cap, velocity_std, mean, cov
     return fixed
 
 
-@kernel("(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(),(),(x6)->(x6),(x6,x6)", "FBFFBffFFF")
-def _start(angles, valid, platforms, std, available, floor, cap, state_std, mean, cov):
-    chosen, used = np.zeros(platforms[:, :2].shape), np.zeros(platforms.shape[0], dtype=np.bool_)
+@helper
+def choose_returns(angles, valid, platforms, std, available, chosen, used):
+    """One return per sensor for a fix: of two sensors the most nearly coplanar pair, else each one's first.
+
+    Fills chosen [s, 2] rad and used [s]; sensors without both components stay out.
+    """
     for s in range(platforms.shape[0]):
         k = first_valid(valid[s])
         used[s] = k >= 0 and available[s, 0] and available[s, 1]
-        if used[s]:
-            chosen[s] = angles[s, k]
+        chosen[s] = angles[s, max(k, 0)]
+    if platforms.shape[0] != 2 or not (used[0] and used[1]):
+        return
+    least = math.inf
+    for i in range(valid.shape[1]):
+        for j in range(valid.shape[1]):
+            if valid[0, i] and valid[1, j]:
+                d = coplanarity(angles[0, i], std[0], angles[1, j], std[1], platforms[0], platforms[1])
+                if d < least:
+                    least = d
+                    chosen[0], chosen[1] = angles[0, i], angles[1, j]
+
+
+@kernel("(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(),(),(x6)->(x6),(x6,x6)", "FBFFBffFFF")
+def _start(angles, valid, platforms, std, available, floor, cap, state_std, mean, cov):
+    chosen, used = np.empty((platforms.shape[0], 2)), np.empty(platforms.shape[0], dtype=np.bool_)
+    choose_returns(angles, valid, platforms, std, available, chosen, used)
     start_into(chosen, used, platforms, std, floor, cap, state_std[3:], mean, cov)
 
 
-@helper
-def first_valid(valid):
-    """First valid slot of a sensor, −1 for none."""
-    for k in range(valid.shape[0]):
-        if valid[k]:
-            return k
-    return -1
+@kernel("(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(),(),(x6),()->(x6),(x6,x6),()", "FFFBFFBffFfFFb")
+def _restart(x, P, angles, valid, platforms, std, available, floor, cap, state_std, lost_share, x_out, P_out, renewed):
+    x_out[:] = x
+    P_out[:] = P
+    renewed[0] = False
+    spread, distance = P[0, 0] + P[1, 1] + P[2, 2], 0.0
+    for i in range(3):
+        distance += (x[i] - platforms[0, i]) ** 2
+    if spread <= lost_share * lost_share * distance:
+        return
+    chosen, used = np.empty((platforms.shape[0], 2)), np.empty(platforms.shape[0], dtype=np.bool_)
+    choose_returns(angles, valid, platforms, std, available, chosen, used)
+    count = 0
+    for s in range(used.shape[0]):
+        count += used[s]
+    mean, cov = np.empty(6), np.empty((6, 6))
+    fixed = count >= 2 and start_into(chosen, used, platforms, std, floor, cap, state_std[3:], mean, cov)
+    if fixed and cov[0, 0] + cov[1, 1] + cov[2, 2] < spread:
+        x_out[:] = mean
+        P_out[:] = cov
+        renewed[0] = True
+
+
+def restart_tracks(state: Gaussian, scan, floor_m: float, cap_m: float, velocity_std, lost_share: float):
+    """Start lost tracks afresh where the scan fixes the target better than the track does.
+
+    A track counts as lost when its own position error √tr P exceeds a share of the range it claims.
+
+    Args:
+        state: mean [..., 6], cov [..., 6, 6].
+        scan: leading axes as the state's; others as in `start_tracks`.
+        lost_share: position standard deviation over range from platform 0.
+    Returns:
+        mean, cov, and which tracks are new [...] bool.
+    """
+    return _restart(
+        state.mean, state.cov, scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available,
+        floor_m, cap_m, _state_std(velocity_std), lost_share,
+    )  # fmt: skip
+
+
+def _state_std(velocity_std) -> np.ndarray:
+    """Standard deviations [6] of a start: the position's come from the fix."""
+    return np.concatenate([np.zeros(3), velocity_std])
+
+
+def fix_3d(angles, used, platforms, angle_std) -> Fix3d:
+    """Gauss–Newton fix of one target from directions.
+
+    Args:
+        angles: [..., s, 2] rad; used: [..., s] bool.
+        platforms: [..., s, 3] m; angle_std: [..., s, 2] rad.
+    Returns:
+        Fix3d; `converged` is False for fewer than two directions and for lines of sight that do not cross.
+    """
+    return Fix3d(*_fix(angles, used, platforms, angle_std))
+
+
+@kernel("(s,a2),(s),(s,p3),(s,a2)->(p3),(p3,p3),()", "FBFFFFb")
+def _fix(angles, used, platforms, std, position, cov, converged):
+    converged[0] = fix_into(angles, used, platforms, std, position, cov)
+    if not converged[0]:
+        position[:] = 0.0
+        cov[:] = 0.0
 
 
 def start_tracks(scan, floor_m: float, cap_m: float, velocity_std) -> Gaussian:
@@ -204,7 +280,9 @@ def start_tracks(scan, floor_m: float, cap_m: float, velocity_std) -> Gaussian:
     if not seen.all():
         where = tuple(int(i) for i in np.argwhere(~seen)[0])
         raise ValueError(f"initiate: scan {where} of the batch holds no return with azimuth and elevation: need one")
-    state_std = np.concatenate([np.zeros(3), velocity_std])
     return Gaussian(
-        *_start(scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available, floor_m, cap_m, state_std)
-    )
+        *_start(
+            scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available,
+            floor_m, cap_m, _state_std(velocity_std),
+        )
+    )  # fmt: skip
