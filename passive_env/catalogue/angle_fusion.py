@@ -85,7 +85,7 @@ class AngleFusion(TrackingScenario):
     altitude_ceiling_m: float = number(15e3, 0.0, 3e4, "highest")
     azimuth_std_deg: float = number(0.5, 1e-3, 10.0, "azimuth noise")
     elevation_std_deg: float = number(0.5, 1e-3, 10.0, "elevation noise")
-    tracker: Any = free("angle_ekf", f"{' or '.join(ANGLE_TRACKERS)}, or an object with the tracker contract")
+    tracker: Any = free("angle_pdaf", f"{' or '.join(ANGLE_TRACKERS)}, or an object with the tracker contract")
     process_noise_m_s2: float = number(30.0, 0.0, 500.0, "the filter's √q, acceleration per axis")
     gate: float = number(16.0, 1.0, 100.0, "γ₂, squared size of the gates of single sensors")
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
@@ -158,7 +158,15 @@ class AngleFusion(TrackingScenario):
             return checked_tracker(self.tracker)
         if self.tracker not in ANGLE_TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, ANGLE_TRACKERS))}")
-        return ANGLE_TRACKERS[self.tracker](process_noise=self.process_noise_m_s2)
+        return ANGLE_TRACKERS[self.tracker](
+            process_noise=self.process_noise_m_s2,
+            gate=self.gate,
+            fused_gate=self.fused_gate,
+            detection_probability=self.detection_probability,
+            clutter_known=self.clutter_known,
+            outlier_test=None if self.outlier_test == "none" else self.outlier_test,
+            reinitiate=self.reinitiate,
+        )
 
     def make_actions(self) -> Continuous | Discrete:
         """Action codec: turn rates of all platforms, then climb rates."""
