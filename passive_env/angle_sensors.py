@@ -43,6 +43,7 @@ class AngleReports(NamedTuple):
 
     Attributes:
         dropped: [e, m] returns in the gates beyond the largest number that the tracker weighs.
+        slots: [e, m, s] slot of the likeliest return, −1 where none is likelier.
         scan: the scan itself.
         predicted: the track's prediction for the scan; the first scan's has no covariance, for nothing was predicted.
     """
@@ -52,6 +53,7 @@ class AngleReports(NamedTuple):
     missed: Any
     available: Any
     dropped: Any
+    slots: Any
     scan: AngleScan
     predicted: Gaussian
 
@@ -161,11 +163,11 @@ class AngleSensors:
         """What the first scan brought: a track from every platform's return."""
         e, platforms, _ = sighting.scan.valid.shape
         one = np.ones((e, 1, platforms), dtype=np.int64)
-        return self._reports(sighting, one > 0, one, np.zeros((e, 1, platforms)), np.zeros_like(one))
+        return self._reports(sighting, np.zeros_like(one), one, np.zeros((e, 1, platforms)), np.zeros_like(one))
 
     def report(self, sighting: AngleSighting, update: AngleUpdate) -> AngleReports:
         """What a scan brought, by the tracker's own account."""
-        return self._reports(sighting, update.assignment >= 0, update.validated, update.missed, update.dropped)
+        return self._reports(sighting, update.assignment, update.validated, update.missed, update.dropped)
 
     def info(self, reports: AngleReports) -> dict[str, Any]:
         """Returns that the tracker had no room for."""
@@ -184,8 +186,8 @@ class AngleSensors:
         )  # fmt: skip
         return AngleSighting(scan, truth, origin, predicted)
 
-    def _reports(self, sighting: AngleSighting, assigned, validated, missed, dropped) -> AngleReports:
+    def _reports(self, sighting: AngleSighting, slots, validated, missed, dropped) -> AngleReports:
         return AngleReports(
-            assigned, validated[:, 0], missed, sighting.scan.available, np.add.reduce(dropped, axis=-1), sighting.scan,
-            sighting.predicted,
+            slots >= 0, validated[:, 0], missed, sighting.scan.available, np.add.reduce(dropped, axis=-1), slots,
+            sighting.scan, sighting.predicted,
         )  # fmt: skip

@@ -158,7 +158,8 @@ class AngleFusion(TrackingScenario):
             return checked_tracker(self.tracker)
         if self.tracker not in ANGLE_TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, ANGLE_TRACKERS))}")
-        return ANGLE_TRACKERS[self.tracker](
+        make: Any = ANGLE_TRACKERS[self.tracker]
+        return make(
             process_noise=self.process_noise_m_s2,
             gate=self.gate,
             fused_gate=self.fused_gate,
@@ -188,6 +189,12 @@ class AngleFusion(TrackingScenario):
     def make_metrics(self) -> AngleFigures:
         """Figures of merit."""
         return AngleFigures(self)
+
+    def make_scene(self, figure: Any) -> Any:
+        """Plan and side view, and what each sensor sees, in a matplotlib figure."""
+        from passive_env.render_angles import AngleScene
+
+        return AngleScene(figure, self)
 
     def move(self, platforms, command):
         """Platforms [e, s, 6] after one step of commands [e, 2 s] in [−1, 1]: turns, then climbs."""

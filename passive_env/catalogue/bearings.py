@@ -141,6 +141,12 @@ class BearingScenario(TrackingScenario):
         """Figures of merit."""
         return BearingMetrics(self)
 
+    def make_scene(self, figure: Any) -> Any:
+        """The view from above, in a matplotlib figure."""
+        from passive_env.render import Scene
+
+        return Scene(figure, self.stations, self.targets, self.steps, self.standoff_m)
+
     def move(self, platforms, command):
         """Platforms [e, s, 4] after one step of turn commands [e, s] in [−1, 1]."""
         return turn(platforms, command * math.radians(self.max_turn_rate_deg_s), self.step_s)
