@@ -68,10 +68,10 @@ class Evaluate:
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
-    paper: Annotated[Literal["two-station"], tyro.conf.Positional] = "two-station"
+    paper: Annotated[Literal["two-station", "angle-fusion"], tyro.conf.Positional] = "two-station"
     """Which paper."""
-    runs: int = 50
-    """Monte-Carlo runs per seed."""
+    runs: int | None = None
+    """Monte-Carlo runs per seed; default 50 (two-station) or 500 (angle-fusion)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
@@ -128,9 +128,15 @@ def _evaluate(c: Evaluate) -> None:
 
 
 def _reproduce(c: Reproduce) -> None:
-    from agents.reproduction import print_report, reproduce_two_station
+    from agents import reproduction
 
-    print(print_report(reproduce_two_station(c.runs, c.seeds, c.out)))
+    papers = {
+        "two-station": (reproduction.reproduce_two_station, reproduction.print_report),
+        "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
+    }
+    reproduce, words = papers[c.paper]
+    number = {} if c.runs is None else {"runs": c.runs}
+    print(words(reproduce(**number, seeds=c.seeds, out=c.out)))
 
 
 def _benchmark(c: Benchmark) -> None:

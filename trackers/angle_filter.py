@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from trackers.angle_contract import AngleScan
+from trackers.angle_contract import AngleScan, AngleUpdate
 from trackers.gaussian import Gaussian
 from trackers.motion_3d import predict_3d
 from trackers.outliers import TESTS
@@ -17,7 +18,7 @@ LOST_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class AngleFilter:
+class AngleFilter(ABC):
     """Settings and common verbs; state [..., m, 6] (`trackers.angle_contract`).
 
     Settings, SI units:
@@ -68,6 +69,10 @@ class AngleFilter:
     def predict(self, state: Gaussian, step_s) -> Gaussian:
         """Propagate all tracks by one step."""
         return predict_3d(state, step_s, self.process_noise)
+
+    @abstractmethod
+    def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
+        """Associate the scan with the tracks and condition on it."""
 
     def estimate(self, state: Gaussian) -> Gaussian:
         """Mean [..., m, 6] and covariance [..., m, 6, 6]."""

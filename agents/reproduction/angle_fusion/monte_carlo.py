@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -136,15 +136,15 @@ class Record(NamedTuple):
     nees: np.ndarray
 
     @property
-    def lost(self) -> np.ndarray:
+    def lost(self) -> Any:
         """[r] bool by the main criterion: mean position error of the last five scans above 1 km."""
         return self.position_error[:, -LOST_SCANS:].mean(-1) > LOST_M
 
     @property
-    def slipped(self) -> np.ndarray:
+    def slipped(self) -> Any:
         """[r] bool by the other criterion: the target's returns outside both gates three scans running."""
-        outside = ~self.gated.any(-1)
-        return (outside[:, 2:] & outside[:, 1:-1] & outside[:, :-2]).any(-1)
+        outside = np.logical_not(self.gated.any(-1))
+        return np.any(outside[:, 2:] & outside[:, 1:-1] & outside[:, :-2], axis=-1)
 
     def rmse(self, kept: bool = True) -> np.ndarray:
         """Root mean square range error [k] m over the kept runs, or over all."""
@@ -185,7 +185,9 @@ def _density(trial: Trial, k: int, area: np.ndarray) -> np.ndarray:
     """False returns per rad² [r, 2]."""
     if trial.clutter == 0.0:
         return np.full(area.shape, NO_CLUTTER)
-    return np.broadcast_to(trial.clutter / clean_gates()[k], area.shape) if trial.fixed_density else trial.clutter / area
+    return (
+        np.broadcast_to(trial.clutter / clean_gates()[k], area.shape) if trial.fixed_density else trial.clutter / area
+    )
 
 
 def _returns(z, detected, density, search, gamma, swamped, rng):
@@ -225,19 +227,12 @@ def _say(estimate: Gaussian, validated, gated, k: int) -> tuple[np.ndarray, ...]
 # -- without chance ---------------------------------------------------------------------------------------------------
 
 
-class Nominal(NamedTuple):
-    """A filter's covariances along the true path: predicted and updated, [k + 1, 6, 6]; index 0 is the start."""
-
-    predicted: np.ndarray
-    updated: np.ndarray
-
-
 def start_bound() -> np.ndarray:
     """Covariance [6, 6] after the first looks of both sensors and the velocity prior."""
     return bound_start(PATHS.target[0], PATHS.platforms[0], np.full((2, 2), ANGLE_STD), VELOCITY_STD_M_S)
 
 
-def range_bound(process_noise: float = PROCESS_NOISE, available=1.0) -> np.ndarray:
+def range_bound(process_noise: float = PROCESS_NOISE, available: Any = 1.0) -> np.ndarray:
     """Posterior Cramér–Rao bound [k] m on the range from platform 1, k = 1 … 40.
 
     Args:
