@@ -74,10 +74,10 @@ class Evaluate:
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
-    paper: Annotated[Literal["two-station"], tyro.conf.Positional] = "two-station"
+    paper: Annotated[Literal["two-station", "angle-fusion"], tyro.conf.Positional] = "two-station"
     """Which paper."""
-    runs: int = 50
-    """Monte-Carlo runs per seed."""
+    runs: int | None = None
+    """Monte-Carlo runs per seed; default 50 (two-station) or 500 (angle-fusion)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
@@ -137,9 +137,15 @@ def _evaluate(c: Evaluate) -> None:
 
 
 def _reproduce(c: Reproduce) -> None:
-    from agents.reproduction import print_report, reproduce_two_station
+    from agents import reproduction
 
-    print(print_report(reproduce_two_station(c.runs, c.seeds, c.out)))
+    papers = {
+        "two-station": (reproduction.reproduce_two_station, reproduction.print_report),
+        "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
+    }
+    reproduce, words = papers[c.paper]
+    number = {} if c.runs is None else {"runs": c.runs}
+    print(words(reproduce(**number, seeds=c.seeds, out=c.out)))
 
 
 def _benchmark(c: Benchmark) -> None:
@@ -152,12 +158,13 @@ def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
-    from trackers import TRACKERS
+    from trackers import ANGLE_TRACKERS, TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
         *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
         ("trackers", list(TRACKERS)),
+        ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):
         print(f"{title}: {', '.join(names)}")

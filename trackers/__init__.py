@@ -1,6 +1,10 @@
 """Passive-sensor trackers: arrays in, arrays out; usable without any environment."""
 
 from trackers.adaptive_rp_ekf import AdaptiveRpEkf, ModelBank
+from trackers.angle_contract import AngleScan, AngleTracker, AngleUpdate
+from trackers.angle_ekf import AngleEkf
+from trackers.angle_filter import AngleFilter
+from trackers.angle_pdaf import AngleNearestNeighbour, AnglePdaf, AnglePdafSequential
 from trackers.contract import Scan, Tracker, Update
 from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
@@ -12,9 +16,26 @@ DISTRIBUTION = "passive-env"
 TRACKERS: dict[str, type[RpEkf]] = {"rp_ekf": RpEkf, "fused_ekf": FusedEkf, "rp_ekf_adaptive": AdaptiveRpEkf}
 """Trackers an environment takes by name."""
 
+ANGLE_TRACKERS: dict[str, type[AngleFilter]] = {
+    "angle_ekf": AngleEkf,
+    "angle_pdaf": AnglePdaf,
+    "angle_nn": AngleNearestNeighbour,
+    "angle_pdaf_sequential": AnglePdafSequential,
+}
+"""Trackers on azimuth and elevation an environment takes by name."""
+
 __all__ = [
+    "ANGLE_TRACKERS",
     "TRACKERS",
     "AdaptiveRpEkf",
+    "AngleEkf",
+    "AngleFilter",
+    "AngleNearestNeighbour",
+    "AnglePdaf",
+    "AnglePdafSequential",
+    "AngleScan",
+    "AngleTracker",
+    "AngleUpdate",
     "Bank",
     "FusedEkf",
     "Gaussian",

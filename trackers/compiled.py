@@ -41,9 +41,9 @@ helper = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract"}
 """Decorator of small scalar functions that kernels call; LLVM inlines them."""
 
 
-FIXED = {"x": 4, "p": 2}
-"""Axis names of a fixed length in every layout: the planar state and the planar position. Compiled code indexes
-these axes without bounds checks, so `Kernel` refuses other lengths."""
+FIXED = {"x": 4, "p": 2, "x6": 6, "p3": 3, "a2": 2}
+"""Axis names of a fixed length in every layout: the planar state and position, the state and position in space, a
+pair of azimuth and elevation. Compiled code indexes these axes without bounds checks, so `Kernel` refuses others."""
 
 
 def kernel(layout: str, dtypes: str = "") -> Callable[[Callable[..., None]], Kernel]:

@@ -1,10 +1,11 @@
-"""How sure a Monte Carlo mean is: bootstrap over runs, within each seed."""
+"""How sure a Monte Carlo mean or share is: bootstrap over runs, within each seed; Wilson's interval."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 DRAWS = 2000
 LEVEL = 0.95
@@ -41,3 +42,9 @@ def percentile_interval(resamples: np.ndarray, level: float = LEVEL) -> Interval
 def mean_interval(samples: np.ndarray, rng: np.random.Generator, draws: int = DRAWS) -> Interval:
     """Bootstrap interval of the mean over seeds and runs of samples [seeds, runs, ...]."""
     return percentile_interval(bootstrap_means(samples, rng, draws).mean(1))
+
+
+def wilson_interval(successes: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
+    """Wilson's interval of a share, honest for few successes too."""
+    found = binomtest(successes, runs).proportion_ci(level, method="wilson")
+    return float(found.low), float(found.high)
