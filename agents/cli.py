@@ -158,12 +158,13 @@ def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
-    from trackers import TRACKERS
+    from trackers import ANGLE_TRACKERS, TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
         *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
         ("trackers", list(TRACKERS)),
+        ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):
         print(f"{title}: {', '.join(names)}")

@@ -19,6 +19,7 @@ from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
 from agents.prediction import line_of_sight
 from passive_env.core import World
+from passive_env.kinematics import plan_view
 from passive_env.vector_env import PassiveVectorEnv
 from trackers.angles import wrap
 
@@ -29,13 +30,33 @@ BASELINES = ("paper", "rule", "rule_tuned", "rule_average", "greedy", "planner")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3
-COLLAPSE_NEES = float(chi2.ppf(0.9999, df=4))
-"""A track that ends farther off than the one, or with a NEES above the other, has collapsed."""
+COLLAPSE_LEVEL = 0.9999
+"""A track that ends farther off than the one, or with a NEES above this quantile of an honest tracker's, has
+collapsed."""
 
-NEES_BAND = tuple(float(edge) for edge in chi2.ppf([0.025, 0.975], df=4))
-"""Where 95 % of an honest tracker's NEES lie."""
-NEES_MEDIAN = float(chi2.median(df=4))
-"""What half of them lie below."""
+
+class NeesScale(NamedTuple):
+    """What an honest tracker's NEES would be: χ² with as many degrees of freedom as the state has numbers.
+
+    Attributes:
+        degrees: of freedom, also the mean.
+        median: what half of them lie below.
+        band: where 95 % of them lie.
+        collapse: what 99.99 % of them lie below.
+    """
+
+    degrees: int
+    median: float
+    band: tuple[float, float]
+    collapse: float
+
+
+def nees_scale(degrees: int) -> NeesScale:
+    """The scale of states of so many numbers."""
+    low, high = chi2.ppf([0.025, 0.975], df=degrees)
+    collapse = chi2.ppf(COLLAPSE_LEVEL, df=degrees)
+    return NeesScale(degrees, float(chi2.median(df=degrees)), (float(low), float(high)), float(collapse))
+
 
 RESAMPLES = 2000
 
@@ -55,6 +76,7 @@ class Record:
             left positive, in [−π, π].
         turns: [e, k, s] turn commands flown, as shares of the limit, left positive.
         standoff, nogo: [e] share of the steps that end with a platform inside a stand-off ring, a no-go disc.
+        state_size: numbers of a track's state, the NEES's degrees of freedom.
     """
 
     range_error_m: np.ndarray
@@ -68,6 +90,7 @@ class Record:
     turns: np.ndarray
     standoff: np.ndarray
     nogo: np.ndarray
+    state_size: int = 4
 
     @property
     def final(self) -> np.ndarray:
@@ -98,10 +121,11 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
     merged = {
         name: np.concatenate([block[name] for block in blocks])
         for name in blocks[0]
-        if name not in ("seconds", "paths")
+        if name not in ("seconds", "paths", "state_size")
     }
     seconds = sum(block["seconds"] for block in blocks)
-    return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), paths=blocks[0]["paths"])
+    alike = {name: blocks[0][name] for name in ("paths", "state_size")}
+    return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), **alike)
 
 
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
@@ -123,7 +147,8 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
-    collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > COLLAPSE_NEES)
+    state_size = env.world.truth.shape[-1]
+    collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
     return {
         "range_error_m": instants.range_error_m.mean(-1),
         "range_crlb_m": instants.range_crlb_m.mean(-1),
@@ -135,6 +160,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
         "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
         "seconds": seconds,
+        "state_size": state_size,
         "paths": _first_paths(instants, env.world, scenario.standoff_m),
     }
 
@@ -154,11 +180,12 @@ class _Instant(NamedTuple):
 
 def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
     """Of the platforms' and estimates' positions the first episode's only: they are for a picture."""
-    course = np.arctan2(world.platforms[..., 3], world.platforms[..., 2])
+    platforms, turns = plan_view(world.platforms), world.last_action[:, : world.platforms.shape[1]]
+    course = np.arctan2(platforms[..., 3], platforms[..., 2])
     return _Instant(
         info["range_error_m"], info["range_crlb_m"], world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
         wrap(course - line_of_sight(world.platforms, world.truth)).astype(np.float32),
-        np.asarray(world.last_action, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
+        np.asarray(turns, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
     )  # fmt: skip
 
 
@@ -192,12 +219,14 @@ def fly_all(
 
 def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dict[str, Any]:
     """The evaluation as plain data: figures per policy, ratios to the baselines with paired 95 % intervals."""
-    episodes = len(next(iter(records.values())).final)
+    first = next(iter(records.values()))
+    episodes = len(first.final)
     baselines = [name for name in BASELINES if name in records] or [next(iter(records))]
     return {
         "environment": environment,
         "episodes": episodes,
         "seed": seed,
+        "state_size": first.state_size,
         "policies": {name: _figures(record) for name, record in records.items()},
         "ratios": {
             base: {name: _ratios(record, records[base]) for name, record in records.items() if name != base}
@@ -207,6 +236,7 @@ def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dic
 
 
 def _figures(record: Record) -> dict[str, Any]:
+    low, high = nees_scale(record.state_size).band
     return {
         "final_range_error_m": _statistics(record.final),
         "mean_range_error_m": _statistics(record.mean),
@@ -215,7 +245,7 @@ def _figures(record: Record) -> dict[str, Any]:
         "standoff_share": float(record.standoff.mean()),
         "nogo_share": float(record.nogo.mean()),
         "final_nees": _statistics(record.nees),
-        "final_nees_in_band_share": float(((record.nees >= NEES_BAND[0]) & (record.nees <= NEES_BAND[1])).mean()),
+        "final_nees_in_band_share": float(((record.nees >= low) & (record.nees <= high)).mean()),
         "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),
         "decision_time_us": record.decision_time_us,
     }

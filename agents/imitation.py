@@ -132,5 +132,6 @@ def _demonstrations(
     x = np.concatenate([part for part, _ in seen], axis=-1)
     if mirror:
         x = np.concatenate([x, np.concatenate([image(part) for part, image in seen], axis=-1)], axis=1)
-        y, earned = np.concatenate([y, -y], axis=1), np.concatenate([earned, earned], axis=1)
+        y = np.concatenate([y, env.simulation.actions.mirrored(y)], axis=1)
+        earned = np.concatenate([earned, earned], axis=1)
     return x, env.simulation.actions.encode(y), earned

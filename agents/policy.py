@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from passive_env.belief import Belief
+from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
@@ -65,6 +66,10 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.planner import PLANNERS
     from agents.rules import ONE_PLATFORM, TURN_APART
 
-    families = {TwoStation: {**PAPER, **STEADY, **TURN_APART}, Ownship: {**STEADY, **ONE_PLATFORM}}
-    own = next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)
-    return {**own, **GREEDY, **PLANNERS}
+    searching = {**GREEDY, **PLANNERS}  # they predict bearings in the plane
+    families = {
+        TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
+        Ownship: {**STEADY, **ONE_PLATFORM, **searching},
+        BearingScenario: {**STEADY, **searching},
+    }
+    return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from agents import pictures
-from agents.evaluation import COLLAPSE_M, COLLAPSE_NEES, NEES_MEDIAN, Record, steps_axis
+from agents.evaluation import COLLAPSE_M, Record, nees_scale, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
 
@@ -107,13 +107,14 @@ def _table(head: list[str], rows: list[list[str]]) -> list[str]:
 
 
 def _note(summary: Mapping[str, Any]) -> str:
+    honest = nees_scale(summary["state_size"])
     return (
         f"{summary['environment']}: range error in metres over {summary['episodes']} paired episodes from seed "
         f"{summary['seed']}, mean over targets. Bound: posterior Cramér–Rao bound at the end, mean; it is a standard "
         "deviation (a mean absolute error may lie 20 % below it) for targets as restless as the filter assumes (those "
         "that fly straight for long can be ranged better). Collapsed: ends more than "
-        f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {COLLAPSE_NEES:.1f}, its 99.99 % quantile. NEES: at the "
-        f"end; an honest tracker has mean 4 and median {NEES_MEDIAN:.1f}, a cautious one less. "
+        f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {honest.collapse:.1f}, its 99.99 % quantile. NEES: at the "
+        f"end; an honest tracker has mean {honest.degrees} and median {honest.median:.1f}, a cautious one less. "
         "Below: ratios of means to every baseline's, with paired bootstrap 95 % intervals."
     )
 

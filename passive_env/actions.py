@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,16 @@ from gymnasium import spaces
 
 
 class Continuous:
-    """A Box in [−1, 1] with one number per platform (turn rate as a share of its limit, counter-clockwise +)."""
+    """A Box in [−1, 1], one number per rate as a share of its limit: turns (counter-clockwise +), then any climbs.
 
-    def __init__(self, size: int):
+    Args:
+        size: how many numbers.
+        odd: [size] whether a number changes its sign when left and right are exchanged; None: all do.
+    """
+
+    def __init__(self, size: int, odd: Sequence[bool] | None = None):
         self.size = size
+        self._mirror_sign = _mirror_sign(size, odd)
         self.space = spaces.Box(-1.0, 1.0, (size,), np.float32)
 
     def decode(self, action: Any, batch: int | None) -> np.ndarray:
@@ -28,12 +35,22 @@ class Continuous:
         """Actions [e, a] that `decode` turns into the commands [e, a]."""
         return commands.astype(np.float32)
 
+    def mirrored(self, commands: np.ndarray) -> np.ndarray:
+        """Commands [..., a] that do in the mirrored world what these do here."""
+        return self._mirror_sign * commands
+
 
 class Discrete:
-    """A MultiDiscrete with one choice per platform among equally spaced turn rates from −limit to +limit."""
+    """A MultiDiscrete with one choice per rate among equally spaced ones from −limit to +limit.
 
-    def __init__(self, size: int, levels: int = 3):
+    Args:
+        size, odd: as of `Continuous`.
+        levels: choices per rate.
+    """
+
+    def __init__(self, size: int, levels: int = 3, odd: Sequence[bool] | None = None):
         self.size = size
+        self._mirror_sign = _mirror_sign(size, odd)
         self.levels = levels
         self.space = spaces.MultiDiscrete([levels] * size)
 
@@ -51,6 +68,14 @@ class Discrete:
     def encode(self, commands: np.ndarray) -> np.ndarray:
         """The choices [e, a] nearest to commands [e, a]."""
         return np.rint(0.5 * (np.clip(commands, -1.0, 1.0) + 1.0) * (self.levels - 1)).astype(np.int64)
+
+    def mirrored(self, commands: np.ndarray) -> np.ndarray:
+        """Commands [..., a] that do in the mirrored world what these do here."""
+        return self._mirror_sign * commands
+
+
+def _mirror_sign(size: int, odd: Sequence[bool] | None) -> np.ndarray:
+    return np.where([True] * size if odd is None else odd, -1.0, 1.0)
 
 
 def _numbers(action: Any, shape: tuple[int, ...]) -> np.ndarray:

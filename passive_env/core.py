@@ -62,7 +62,7 @@ class Simulation:
         state = self.tracker.initiate(sighting.scan)
         estimate = self.tracker.estimate(state)
         _check_estimate(estimate, sighting.truth.shape, self.tracker)
-        bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms)
+        bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms, tape)
         batch = len(generators)
         return World(
             np.zeros(batch, dtype=np.int64), tape.platforms, tape, state, estimate, self.sensors.acquired(sighting),
@@ -78,7 +78,7 @@ class Simulation:
         sighting = self.sensors.sense(world.tape, step, platforms, predicted)
         update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
-        bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms)
+        bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms, world.tape)
         new = World(
             step, platforms, world.tape, update.posterior, estimate, self.sensors.report(sighting, update), command,
             bound, sighting.truth, metrics, self.metrics.violations(platforms, sighting.truth, world.tape),

@@ -1,11 +1,14 @@
 """How platforms and targets move: exact arcs at constant turn rate and constant acceleration.
 
-Frame: east x, north y [m]; states [x, y, vx, vy]; turn rates counter-clockwise positive [rad/s].
+Frame: east x, north y, up z [m]; states [x, y, vx, vy], in space [x, y, z, vx, vy, vz]; turn rates counter-clockwise
+positive [rad/s].
 """
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from trackers.compiled import helper, kernel
 
@@ -62,6 +65,34 @@ def turn(states, turn_rate, step_s):
         [..., s, 4].
     """
     return _turn(states, turn_rate, step_s)
+
+
+@kernel("(s,x6),(s),(s),(),(h)->(s,x6)", "FFFfFF")
+def _turn_and_climb(states, turn_rate, climb, step_s, limits, out):
+    level = np.empty(4)
+    for i in range(states.shape[0]):
+        level[0], level[1], level[2], level[3] = states[i, 0], states[i, 1], states[i, 3], states[i, 4]
+        advance_in_place(level, 0.0, turn_rate[i], step_s)
+        out[i, 0], out[i, 1], out[i, 3], out[i, 4] = level[0], level[1], level[2], level[3]
+        out[i, 2] = min(max(states[i, 2] + climb[i] * step_s, limits[0]), limits[1])
+        out[i, 5] = (out[i, 2] - states[i, 2]) / step_s
+
+
+def turn_and_climb(states, turn_rate, climb, step_s, altitudes):
+    """Fly each platform for one step at constant level speed, turn rate and climb.
+
+    Args:
+        states: [..., s, 6] m, m/s; turn_rate: [..., s] rad/s; climb: [..., s] m/s; step_s: s.
+        altitudes: [2] m, lowest and highest; a platform that would leave them stops there.
+    Returns:
+        [..., s, 6]; the vertical velocity is that of the step flown.
+    """
+    return _turn_and_climb(states, turn_rate, climb, step_s, altitudes)
+
+
+def plan_view(states):
+    """x, y, vx, vy [..., 4] of states in the plane [..., 4], as they are, or in space [..., 6]."""
+    return states if states.shape[-1] == 4 else states[..., [0, 1, 3, 4]]
 
 
 @helper

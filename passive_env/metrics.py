@@ -59,8 +59,9 @@ class Violations(NamedTuple):
 
 
 @helper
-def _at_most(value, limit):
-    return value if value <= limit else limit  # NaN compares False
+def at_most(value, limit):
+    """The lesser of both; the limit for NaN."""
+    return value if value <= limit else limit
 
 
 @kernel(
@@ -82,12 +83,12 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
             a, b = slope(truth[m, 0], truth[m, 1], platforms[s, 0], platforms[s, 1])
             condition_into(x, P, 0.0, a, b, std * std, x, P)
         true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
-        range_error[m] = _at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
-        position_error[m] = _at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
+        range_error[m] = at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
+        position_error[m] = at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
         crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
         for i in range(4):
             x[i] = mean[m, i] - truth[m, i]
-        nees[m] = _at_most(mahalanobis_4(cholesky_4(cov[m]), x), MAX_NEES)
+        nees[m] = at_most(mahalanobis_4(cholesky_4(cov[m]), x), MAX_NEES)
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
 
 
@@ -160,7 +161,7 @@ class BearingMetrics:
         # A missed bearing scales the expected information: the same as noise larger by 1/√P_D.
         self._bound_std = self._std / math.sqrt(scenario.detection_probability)
 
-    def begin(self, estimate, truth, platforms) -> tuple[Any, Metrics]:
+    def begin(self, estimate, truth, platforms, tape) -> tuple[Any, Metrics]:
         """Bound and figures of the first scan, of which all stations' bearings count."""
         prior = bound_prior(
             truth, platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self._scenario.bound_range_std_m,
@@ -168,7 +169,7 @@ class BearingMetrics:
         )  # fmt: skip
         return self._measure(estimate, truth, prior, platforms, 0.0, self._std, all_stations=True)
 
-    def advance(self, estimate, truth, bound, platforms) -> tuple[Any, Metrics]:
+    def advance(self, estimate, truth, bound, platforms, tape) -> tuple[Any, Metrics]:
         """Bound and figures of a later scan from the bound after the one before it."""
         return self._measure(
             estimate, truth, bound, platforms, self._scenario.step_s, self._bound_std, self._all_stations

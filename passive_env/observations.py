@@ -32,7 +32,8 @@ class Field(NamedTuple):
 
 
 @helper
-def _clip(value):
+def clip_value(value):
+    """A value within the limits; 0 for NaN."""
     return min(max(value, -LIMIT), LIMIT) if value == value else 0.0
 
 
@@ -139,7 +140,7 @@ def _observe(time_left, platforms, mean, cov, assigned, last_action, discs, like
         i += platforms.shape[0]
     i = _write_discs(discs, platforms, c, s, out, i)
     for k in range(i):  # a diverged tracker's NaN reads 0
-        out[k] = _clip(out[k])
+        out[k] = clip_value(out[k])
 
 
 class TrackObservation:

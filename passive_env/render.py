@@ -80,7 +80,7 @@ class Viewer:
 
     def __init__(self, simulation: Simulation, render_mode: str):
         self._simulation = simulation
-        self._scene: Scene | None = None
+        self._scene: Any = None
         self._trail = Trail()
         self._frame: Frame | None = None
         self._window = Window() if render_mode == "human" else None
@@ -96,13 +96,11 @@ class Viewer:
             return None
         if self._scene is None:
             figure = _figure() if self._window is None else self._window.figure
-            stations, targets = world.platforms.shape[1], world.truth.shape[1]
-            scenario = self._simulation.scenario
-            self._scene = Scene(figure, stations, targets, scenario.steps, scenario.standoff_m)
+            self._scene = self._simulation.scenario.make_scene(figure)
         if self._trail.add(world):
             self._frame = None
-        self._frame = grow(self._frame, _contents(world, self._trail, self._frame is None), self._scene.aspect)
-        self._scene.update(world, self._trail.paths, self._frame, self._simulation.scenario.step_s)
+        self._frame = grow(self._frame, contents(world, self._trail, self._frame is None), self._scene.aspect)
+        self._scene.update(world, self._trail.paths, self._frame, self._simulation)
         if self._window is not None:
             return self._window.show()
         return self._scene.pixels()
@@ -128,12 +126,12 @@ class Trail:
         new = episode != self._episode or step == 0
         self._episode = episode
         self._points = {} if new else {k: p for k, p in self._points.items() if k < step}
-        self._points[step] = np.array(world.platforms[0, :, :2])
+        self._points[step] = np.array(world.platforms[0, :, : world.platforms.shape[-1] // 2])
         return new
 
     @property
     def paths(self) -> np.ndarray:
-        """Positions [s, k, 2] m, in order of time."""
+        """Positions [s, k, 2] m, in space [s, k, 3] m, in order of time."""
         return np.stack(list(self._points.values()), axis=1)
 
 
@@ -223,9 +221,9 @@ class Scene:
         self._shown: tuple[Any, ...] | None = None
         self._background: Any = None
 
-    def update(self, world: World, trails: np.ndarray, frame: Frame, step_s: float) -> None:
+    def update(self, world: World, trails: np.ndarray, frame: Frame, simulation: Simulation) -> None:
         """Show a world (a batch of one) with the platforms' trails [s, k, 2] m inside a frame."""
-        step = int(world.step[0])
+        step, step_s = int(world.step[0]), simulation.scenario.step_s
         hypotheses = hypotheses_of(world.track_state)
         self._show_axes(frame, hypotheses is not None, world)
         self._show_platforms(world, trails, frame)
@@ -337,12 +335,13 @@ def edge_points(start: np.ndarray, ends: np.ndarray, frame: Frame) -> tuple[np.n
     return start + np.clip(share, 0.0, 1.0)[:, None] * way, share < 1.0
 
 
-def _contents(world: World, trail: Trail, first: bool) -> np.ndarray:
+def contents(world: World, trail: Trail, first: bool) -> np.ndarray:
     """Points [n, 2] km that the frame must hold: trails, courses, discs; at first also the targets' near future."""
     last = int(world.step[0]) + 1 + (LOOK_AHEAD if first else 0)
     targets = world.tape.targets[0, :last, :, :2]
     discs = circles(world.tape.discs[0, :, :2], world.tape.discs[0, :, 2])
-    return 1e-3 * np.concatenate([points.reshape(-1, 2) for points in (trail.paths, targets, discs)])
+    trails = trail.paths[..., :2]
+    return 1e-3 * np.concatenate([points.reshape(-1, 2) for points in (trails, targets, discs)])
 
 
 def hypotheses_of(state: Any) -> Hypotheses | None:

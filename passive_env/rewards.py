@@ -1,7 +1,8 @@
 """What the agent earns: weighted terms, each a pure function of one instant with a unit. Truth may be used here.
 
 A term maps a `Moment` to [e] numbers; larger is better. The scenario holds the weights; terms of weight 0 are not
-computed, and every weighted one appears in ``info["reward_terms"]``.
+computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` is for scenarios in space,
+whose metrics have it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.metrics import Metrics, Violations
+from passive_env.metrics import Violations
 from trackers.compiled import kernel
 
 
@@ -26,8 +27,8 @@ class Moment(NamedTuple):
         final: [e] bool, the episode's last step.
     """
 
-    metrics: Metrics
-    previous: Metrics
+    metrics: Any
+    previous: Any
     violations: Violations
     command: Any
     final: Any
@@ -61,6 +62,21 @@ def log_range_error(moment: Moment):
 def relative_range_error(moment: Moment):
     """−range error / range, mean over targets, each at most 10 [1]."""
     return -_mean_ratio(moment.metrics.range_error_m, moment.metrics.range_m)
+
+
+def log_position_error(moment: Moment):
+    """−log(position error / 1 km), mean over targets, errors floored at 30 m [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.position_error_m, ERROR_FLOOR_M)
+
+
+def relative_position_error(moment: Moment):
+    """−position error / range, mean over targets, each at most 10 [1]."""
+    return -_mean_ratio(moment.metrics.position_error_m, moment.metrics.range_m)
+
+
+def log_position_bound(moment: Moment):
+    """−log(position bound / 1 km), mean over targets: the geometry's quality without the draw's luck [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.position_crlb_m, 1.0)
 
 
 def log_range_bound(moment: Moment):
@@ -110,6 +126,9 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         standoff,
         nogo,
         lost_track,
+        log_position_error,
+        relative_position_error,
+        log_position_bound,
     )
 }
 """All reward terms by name."""

@@ -85,7 +85,7 @@ def returns(model: ReturnModel, uniforms: np.ndarray) -> dict[str, np.ndarray]:
     """
     e = len(uniforms)
     shape = (e, model.instants, model.stations)
-    take = _Reader(uniforms)
+    take = Reader(uniforms)
     order = take((*shape, model.slots))
     detected = np.ones((*shape, model.targets), dtype=bool)
     if model.detection_probability < 1.0:
@@ -101,13 +101,14 @@ def returns(model: ReturnModel, uniforms: np.ndarray) -> dict[str, np.ndarray]:
     return {"detected": detected, "false_bearings": bearings, "false_count": count, "order": order}
 
 
-class _Reader:
+class Reader:
     """Hands out consecutive columns of an array of uniforms, reshaped."""
 
     def __init__(self, uniforms: np.ndarray):
         self._uniforms, self._at = uniforms, 0
 
     def __call__(self, shape: tuple[int, ...]) -> np.ndarray:
+        """The next columns as an array of a shape whose first axis is the environment."""
         width = int(np.prod(shape[1:]))
         block = self._uniforms[:, self._at : self._at + width]
         self._at += width

@@ -32,6 +32,10 @@ VARIANTS = (
     {"steps": 3},
     {"maneuvering": True},
     {"nogo_discs": 2, "standoff_m": 5000.0, "targets": 2},
+    {"clutter_mean": 4.0, "detection_probability": 0.7, "availability0_min": 0.3, "availability1_min": 0.3},
+    {"clutter_density_per_deg2": 0.05, "clutter_window_deg": 5.0},
+    {"formation": "trail"},
+    {"tracker": "angle_ekf"},
     {"render_mode": "rgb_array"},
 )
 
@@ -39,6 +43,10 @@ VARIANTS = (
 def applies(env_id, variant) -> bool:
     """Whether an environment's scenario has a variant's fields and allows its values."""
     rules = {f.name: f.metadata for f in dataclasses.fields(SCENARIOS[scenario_name(env_id)])}
+    if SCENARIOS[scenario_name(env_id)].tracker.startswith("angle") != variant.get("tracker", "angle").startswith(
+        "angle"
+    ):
+        return False
     return all(
         name == "render_mode" or (name in rules and allows(rules[name], value)) for name, value in variant.items()
     )
@@ -65,6 +73,10 @@ INFO = {
     "lost": np.bool_,
 }
 VIOLATIONS = {"standoff_violation", "nogo_violation"}
+INFO_IN_SPACE = {"position_crlb_m": np.float64, "dropped_returns": np.int64}
+"""What scenarios in space show besides."""
+REPORTS = (".assigned", ".returns", ".missed", ".available")
+"""Observed numbers that tell what the last scan brought."""
 
 
 def make(env_id, variant):
@@ -88,8 +100,9 @@ def arrays_of(observation, info):
 
 
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
-    known = {f"passive/{name}-v0" for name in ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")}
-    assert known <= set(environment_ids())
+    known = ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")
+    known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow")
+    assert {f"passive/{name}-v0" for name in known} <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
         assert env_id.startswith("passive/")
@@ -216,7 +229,7 @@ def test_observations_lie_in_their_box_and_match_the_fields(env_id, variant):
 
 @over_registry
 def test_every_observed_number_changes_during_an_episode(env_id, variant):
-    """The flags say which bearings were used; without misses they may stay 1."""
+    """What scans brought may be the same every time where nothing is missed and nothing false."""
     env = make(env_id, variant)
     seen = np.array([observation for observation, *_ in episode(env, seed=1)])
     constant = {
@@ -224,9 +237,11 @@ def test_every_observed_number_changes_during_an_episode(env_id, variant):
         for f, varies in zip(env.unwrapped.observation_fields, np.ptp(seen, axis=0) > 0, strict=True)
         if not varies
     }
-    assert {name for name in constant if ".assigned" not in name} == set()
+    assert {name for name in constant if not any(report in name for report in REPORTS)} == set()
     if variant.get("detection_probability", 1.0) < 1.0:
-        assert constant == set()
+        assert {
+            name for name in constant if variant.get("availability0_min", 1.0) < 1.0 or "avail" not in name
+        } == set()
 
 
 def test_time_left_and_last_action_fields_say_what_they_name():
@@ -248,10 +263,11 @@ def test_time_left_and_last_action_fields_say_what_they_name():
 def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     env = make(env_id, variant)
     targets = env.unwrapped.scenario.targets
+    shown = INFO | (INFO_IN_SPACE if "AngleFusion" in env_id else {})
     for _, reward, truncated, info in episode(env):
-        assert set(info) == {*INFO, *VIOLATIONS, "reward_terms"}
+        assert set(info) == {*shown, *VIOLATIONS, "reward_terms"}
         assert all(type(info[name]) is float and info[name] >= 0.0 for name in VIOLATIONS)
-        for name, dtype in INFO.items():
+        for name, dtype in shown.items():
             assert info[name].shape == (targets,), name
             assert info[name].dtype == dtype, name
             assert np.all(np.isfinite(info[name])), name

@@ -19,6 +19,7 @@ from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue import make_scenario
+from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
@@ -475,10 +476,15 @@ def test_reward_term_by_hand(term, expected):
 def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
     assert set(TERMS) == {
         "log_range_error", "relative_range_error", "log_range_bound", "final_log_range_bound", "information_gain",
-        "maneuver", "standoff", "nogo", "lost_track",
+        "maneuver", "standoff", "nogo", "lost_track", "log_position_error", "relative_position_error",
+        "log_position_bound",
     }  # fmt: skip
-    weights = {f.name for f in dataclasses.fields(TwoStation) if f.name.startswith("reward_")}
-    assert weights == {f"reward_{term}" for term in TERMS}
+    in_plane, in_space = (
+        {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
+        for family in (TwoStation, AngleFusion)
+    )
+    assert in_plane | in_space == set(TERMS)
+    assert in_plane == {term for term in TERMS if "position" not in term}
 
 
 def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off():
@@ -492,7 +498,8 @@ def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off(
 
 
 def test_rewards_in_the_environment_are_the_weighted_terms():
-    weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(TERMS)}
+    in_plane = (name for name in TERMS if "position" not in name)  # those of the position are for scenarios in space
+    weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(in_plane)}
     env = PassiveEnv(steps=20, standoff_m=1e5, lost_error_m=500.0, lost_nees=1.0, **weights)
     _, info = env.reset(seed=1)
     for k in range(20):

@@ -7,21 +7,18 @@ and how the targets move (`BearingScenario.draw_courses`); the rest is here.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from passive_env.actions import Continuous, Discrete
-from passive_env.flights import FlightPaths, load_flights
+from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import turn
 from passive_env.metrics import BearingMetrics
 from passive_env.observations import TrackObservation
-from passive_env.rewards import TERMS
-from passive_env.scenario import Scenario, choice, flag, free, integer, number
+from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.sensors import DirectionFinders
 from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
 from passive_env.truth import TruthObservation
@@ -46,27 +43,20 @@ class Courses(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BearingScenario(Scenario):
+class BearingScenario(TrackingScenario):
     """Base of scenarios in which direction finders steer by turn rate and a tracker ranges targets from bearings."""
 
     stations: ClassVar[int]
     """Number of platforms; the last one is the reference."""
     bearings: ClassVar[str] = "all"
     """Whose bearings the filter uses after the first scan; a field where there is a choice."""
-    discs: ClassVar[int] = 0
-    """Number of no-go discs; a property where there is a choice."""
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
         ("range_min_m", "range_max_m"),
         ("target_speed_min_m_s", "target_speed_max_m_s"),
     )
-    """Pairs of fields of which the first must not exceed the second."""
 
-    course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     targets: int = integer(1, 1, 6, "number of targets")
-    steps: int = integer(45, 1, 10_000, "decisions per episode")
-    step_s: float = number(2.0, 0.1, 60.0, "time between scans")
     station_speed_m_s: float = number(250.0, 0.0, 1000.0, "speed of every station")
-    max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
     bearing_std_deg: float = number(0.5, 1e-3, 10.0, "bearing noise")
     tracker: Any = free("rp_ekf", f"{' or '.join(TRACKERS)}, or an object with the tracker contract")
     hypotheses: int = integer(8, 1, 64, "range hypotheses per target of a bank")
@@ -78,41 +68,20 @@ class BearingScenario(Scenario):
     second_order: bool = flag(False, "whether a bearing's curvature adds to a bank's innovation variance")
     detection_probability: float = number(1.0, 0.01, 1.0, "of each bearing, after the first scan")
     false_bearings_mean: float = number(0.0, 0.0, 10.0, "false bearings per station and scan, after the first scan")
-    standoff_m: float = number(0.0, 0.0, 1e5, "distance stations should keep from targets; 0 for none")
     range_min_m: float = number(60e3, 1e3, 1e6, "nearest drawn start of a target from the reference")
     range_max_m: float = number(80e3, 1e3, 1e6, "farthest")
     target_speed_min_m_s: float = number(200.0, 1.0, 2000.0, "slowest drawn target")
     target_speed_max_m_s: float = number(300.0, 1.0, 2000.0, "fastest")
-    flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
-    flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
     lost_error_m: float = number(5e3, 1.0, 1e6, "a track is lost if farther off than this …")
     lost_nees: float = number(23.5, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 4 degrees)")
     actions: str = choice("continuous", ("continuous", "discrete"), "Box turn rates, or 3 turn rates per station")
-    reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
-    reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
-    reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
-    reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
-    reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")
-    reward_maneuver: float = number(0.0, 0.0, 1e6, "weight")
-    reward_standoff: float = number(1.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
     reward_nogo: float = number(1.0, 0.0, 1e6, "weight; counts only where there are no-go discs")
-    reward_lost_track: float = number(0.0, 0.0, 1e6, "weight")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for low, high in self.ordered:
-            if getattr(self, low) > getattr(self, high):
-                raise self._error(low, f"must not exceed {high} = {getattr(self, high)}")
         if self.range_floor_m >= self.range_cap_m:
             raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
-        if not isinstance(self.flights, (str, os.PathLike, type(None))):
-            raise self._error("flights", "must be the path of a file, or None")
-        if self.flights is not None and self.course != "flights":
-            raise self._error("flights", f"is not used with course={self.course!r}; add course='flights'")
         self.make_tracker()
-
-    def _error(self, field: str, allowed: str) -> ValueError:
-        return ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: {allowed}")
 
     # -- what each scenario draws ------------------------------------------------------------------------------------
 
@@ -139,7 +108,7 @@ class BearingScenario(Scenario):
             ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
         """
         if not isinstance(self.tracker, str):
-            return _checked_tracker(self.tracker)
+            return checked_tracker(self.tracker)
         if self.tracker not in TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, TRACKERS))}")
         names = () if self.tracker == "fused_ekf" else ("hypotheses", "prune_below", "merge_below", "second_order")
@@ -177,15 +146,11 @@ class BearingScenario(Scenario):
         """Figures of merit."""
         return BearingMetrics(self)
 
-    @cached_property
-    def reward_weights(self) -> dict[str, float]:
-        """Weights of the reward terms in use."""
-        weights = {name: getattr(self, f"reward_{name}") for name in TERMS}
-        if self.standoff_m == 0.0:
-            weights["standoff"] = 0.0
-        if self.discs == 0:
-            weights["nogo"] = 0.0
-        return {name: weight for name, weight in weights.items() if weight > 0.0}
+    def make_scene(self, figure: Any) -> Any:
+        """The view from above, in a matplotlib figure."""
+        from passive_env.render import Scene
+
+        return Scene(figure, self.stations, self.targets, self.steps, self.standoff_m)
 
     def move(self, platforms, command):
         """Platforms [e, s, 4] after one step of turn commands [e, s] in [−1, 1]."""
@@ -201,27 +166,14 @@ class BearingScenario(Scenario):
         noise = z.reshape(-1, k, s, m)
         return Tape(courses.platforms, courses.targets, noise, **returns(model, u[:, course:]), discs=courses.discs)
 
-    def check_flights(self) -> None:
-        """Load the recorded flights now, so that a bad file is found before anything else is done.
-
-        Raises:
-            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
-        """
-        if self.course == "flights":
-            self._flight_paths.window_starts(self.steps)
-
     def fly_flights(self, start: np.ndarray, picks: np.ndarray) -> np.ndarray:
         """Recorded windows chosen by uniforms [e, m] that begin at the starts [e, m, 4] on their courses.
 
         Returns:
             [e, k + 1, m, 4]; shape and speed of the recorded paths are unaltered.
         """
-        windows = self._flight_paths.windows(picks, self.steps)
+        windows = self.flight_paths.windows(picks, self.steps)
         return instants_first(_place_flight(start, windows))
-
-    @cached_property
-    def _flight_paths(self) -> FlightPaths:
-        return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
 
 
 def instants_first(paths: np.ndarray) -> np.ndarray:
@@ -238,16 +190,3 @@ def _place_flight(start, window, path):
         dx, dy = window[k, 0] - window[0, 0], window[k, 1] - window[0, 1]
         path[k, 0], path[k, 1] = start[0] + c * dx - s * dy, start[1] + s * dx + c * dy
         path[k, 2], path[k, 3] = c * window[k, 3] - s * window[k, 4], s * window[k, 3] + c * window[k, 4]
-
-
-def _checked_tracker(tracker: Any) -> Tracker:
-    if isinstance(tracker, type):
-        raise TypeError(f"tracker is the class {tracker.__name__}, must be an object: tracker={tracker.__name__}(…)")
-    missing = [
-        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
-    ]
-    if missing:
-        raise TypeError(
-            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
-        )
-    return tracker

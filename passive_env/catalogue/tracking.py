@@ -1,0 +1,95 @@
+"""What all scenarios share in which a tracker follows targets: course and reward fields, recorded flights."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+from passive_env.flights import FlightPaths, load_flights
+from passive_env.rewards import TERMS
+from passive_env.scenario import Scenario, choice, free, integer, number
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingScenario(Scenario):
+    """Base of scenarios that are tracked; a family adds its own fields and the parts that `passive_env.core` names."""
+
+    discs: ClassVar[int] = 0
+    """Number of no-go discs; a property where there is a choice."""
+    ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Pairs of fields of which the first must not exceed the second."""
+
+    course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
+    steps: int = integer(45, 1, 10_000, "decisions per episode")
+    step_s: float = number(2.0, 0.1, 60.0, "time between scans")
+    max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
+    standoff_m: float = number(0.0, 0.0, 1e5, "distance platforms should keep from targets; 0 for none")
+    flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
+    flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
+    reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
+    reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
+    reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")
+    reward_maneuver: float = number(0.0, 0.0, 1e6, "weight")
+    reward_standoff: float = number(1.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
+    reward_lost_track: float = number(0.0, 0.0, 1e6, "weight")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in self.ordered:
+            if getattr(self, low) > getattr(self, high):
+                raise self._error(low, f"must not exceed {high} = {getattr(self, high)}")
+        if not isinstance(self.flights, (str, os.PathLike, type(None))):
+            raise self._error("flights", "must be the path of a file, or None")
+        if self.flights is not None and self.course != "flights":
+            raise self._error("flights", f"is not used with course={self.course!r}; add course='flights'")
+
+    def _error(self, field: str, allowed: str) -> ValueError:
+        return ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: {allowed}")
+
+    @cached_property
+    def reward_weights(self) -> dict[str, float]:
+        """Weights of the reward terms in use."""
+        fields = {f.name for f in dataclasses.fields(self)}
+        weights = {name: getattr(self, f"reward_{name}") for name in TERMS if f"reward_{name}" in fields}
+        if self.standoff_m == 0.0:
+            weights["standoff"] = 0.0
+        if self.discs == 0:
+            weights["nogo"] = 0.0
+        return {name: weight for name, weight in weights.items() if weight > 0.0}
+
+    def check_flights(self) -> None:
+        """Load the recorded flights now, so that a bad file is found before anything else is done.
+
+        Raises:
+            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
+        """
+        if self.course == "flights":
+            self.flight_paths.window_starts(self.steps)
+
+    @cached_property
+    def flight_paths(self) -> FlightPaths:
+        """Recorded flights of the chosen part at this scenario's instants."""
+        return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
+
+
+def checked_tracker(tracker: Any) -> Any:
+    """A user's tracker object, as it is.
+
+    Raises:
+        TypeError: a class, or an object that lacks a verb of the contract.
+    """
+    if isinstance(tracker, type):
+        raise TypeError(f"tracker is the class {tracker.__name__}, must be an object: tracker={tracker.__name__}(…)")
+    missing = [
+        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
+    ]
+    if missing:
+        raise TypeError(
+            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
+        )
+    return tracker
