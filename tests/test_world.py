@@ -459,6 +459,8 @@ def moment(standoff_m=12e3, **changes) -> Moment:
     [
         ("log_range_error", -(math.log(2.0) + math.log(0.5)) / 2.0),
         ("relative_range_error", -(2000.0 / 40e3 + 500.0 / 10e3) / 2.0),
+        ("range_error", -(0.2 + 0.05) / 2.0),
+        ("final_range_error", -(0.2 + 0.05) / 2.0),
         ("log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
         ("final_log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
         ("information_gain", (math.log(4.0) + math.log(2.0)) / 2.0),
@@ -475,9 +477,9 @@ def test_reward_term_by_hand(term, expected):
 
 def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
     assert set(TERMS) == {
-        "log_range_error", "relative_range_error", "log_range_bound", "final_log_range_bound", "information_gain",
-        "maneuver", "standoff", "nogo", "lost_track", "log_position_error", "relative_position_error",
-        "log_position_bound",
+        "log_range_error", "relative_range_error", "range_error", "final_range_error", "log_range_bound",
+        "final_log_range_bound", "information_gain", "maneuver", "standoff", "nogo", "lost_track", "log_position_error",
+        "relative_position_error", "position_error", "final_position_error", "log_position_bound",
     }  # fmt: skip
     in_plane, in_space = (
         {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
@@ -493,6 +495,8 @@ def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off(
     assert TERMS["log_range_error"](moment(metrics=lucky)) == pytest.approx(np.array([math.log(1000.0 / 30.0)]))
     far = metrics._replace(range_error_m=np.array([[1e9, 1000.0]]))
     assert TERMS["relative_range_error"](moment(metrics=far)) == pytest.approx(np.array([-(10.0 + 0.1) / 2.0]))
+    assert TERMS["range_error"](moment(metrics=far)) == pytest.approx(np.array([-(10.0 + 0.1) / 2.0]))
+    assert TERMS["final_range_error"](moment(final=np.array([False]))) == pytest.approx(np.array([0.0]))
     assert TERMS["standoff"](moment(standoff_m=0.0)) == pytest.approx(np.array([0.0]))
     assert TERMS["final_log_range_bound"](moment(final=np.array([False]))) == pytest.approx(np.array([0.0]))
 
@@ -510,6 +514,8 @@ def test_rewards_in_the_environment_are_the_weighted_terms():
         expected = {
             "log_range_error": -np.log(np.maximum(info["range_error_m"], 30.0) / 1e3).mean(),
             "relative_range_error": -(info["range_error_m"] / info["range_m"]).mean(),
+            "range_error": -info["range_error_m"].mean() / 1e4,
+            "final_range_error": -info["range_error_m"].mean() / 1e4 * truncated,
             "log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean(),
             "final_log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean() * truncated,
             "information_gain": np.log(previous / info["range_crlb_m"]).mean(),
