@@ -124,12 +124,14 @@ def take_or_branch(
     ]  # fmt: skip
     rest = plain == 0.0
     if rest.any():
-        bank = [_rows(part, rest, core) for part, core in ((mean, 3), (cov, 4), (own_log_weights, 2))]
         some = Scan(
             _rows(scan.bearings, rest, 2), _rows(scan.valid, rest, 2), _rows(scan.stations, rest, 2),
             _rows(scan.bearing_std, rest, 0),
         )  # fmt: skip
-        branched = branch_and_update(*bank, some, model, prune_below, merge_below, second_order)
+        branched = branch_and_update(
+            _rows(mean, rest, 3), _rows(cov, rest, 4), _rows(own_log_weights, rest, 2), some,
+            model, prune_below, merge_below, second_order,
+        )  # fmt: skip
         for part, decided in zip(taken, branched, strict=True):
             part[rest] = decided
     return taken
