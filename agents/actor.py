@@ -19,6 +19,8 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
+from agents.activation import QuickTanh
+
 ROWS = 1024
 """Observations in one block."""
 
@@ -68,7 +70,7 @@ def plain_actor(model: BaseAlgorithm) -> PlainActor | None:
         layers, extractor = [*policy.actor.latent_pi, policy.actor.mu], policy.actor.features_extractor
     else:
         return None
-    known = all(type(layer) in (nn.Linear, nn.Tanh, nn.ReLU) for layer in layers)
+    known = all(type(layer) in (nn.Linear, nn.Tanh, QuickTanh, nn.ReLU) for layer in layers)
     starts_anew = type(layers[0]) is nn.Linear  # a tanh in place must not meet the observations themselves
     plain = known and starts_anew and type(extractor) is FlattenExtractor
     return PlainActor(layers, space, policy.squash_output) if plain else None
