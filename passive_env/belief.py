@@ -5,19 +5,32 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 
+class Reports(NamedTuple):
+    """What the last scan brought, as an operator sees it; fields as in `Belief`."""
+
+    assigned: Any
+    returns: Any
+    missed: Any
+    available: Any
+
+
 class Belief(NamedTuple):
     """Knowledge after a scan; e environments, s platforms, m tracks, d no-go discs.
 
     Attributes:
         steps_left: [e] decisions left in the episode.
-        platforms: [e, s, 4] x, y [m], vx, vy [m/s], east-north.
-        mean: [e, m, 4] track means.
-        cov: [e, m, 4, 4] track covariances.
-        assigned: [e, m, s] bool, which stations' bearings updated the track.
-        returns: [e, s] number of bearings received.
+        platforms: [e, s, n] x, y [m], vx, vy [m/s], east-north; in three dimensions x, y, z, vx, vy, vz.
+        mean: [e, m, n] track means.
+        cov: [e, m, n, n] track covariances.
+        assigned: [e, m, s] bool, which stations' measurements updated the track.
+        returns: [e, s] number of returns received; where clutter is dense, of those in the track's gate.
         last_action: [e, a] the previous action, 0 at first.
         track_state: the tracker's own state (hypotheses and their weights for a bank).
         discs: [e, d, 3] no-go discs: centre x, y and radius [m]; d is 0 where there are none.
+        missed: [e, m, s] probability, to the tracker's mind, that none of the platform's returns is the target's;
+            s is 0 in scenarios whose trackers do not say.
+        available: [e, s, 2] bool, whether the platform's azimuths and elevations of the last scan could be used;
+            s is 0 in scenarios without dropouts.
     """
 
     steps_left: Any
@@ -29,3 +42,5 @@ class Belief(NamedTuple):
     last_action: Any
     track_state: Any
     discs: Any
+    missed: Any = None
+    available: Any = None

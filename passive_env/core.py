@@ -1,46 +1,47 @@
 """The world's one loop, over whole batches: move, sense, track, measure, reward, observe.
 
-Nothing here knows which family of scenarios runs; the scenario names the parts. Everything is a pure function of the
-world and the action: a `World` is never changed in place, so a planner may keep one and imagine.
+Nothing here knows which family of scenarios runs; the scenario names the parts:
+
+    draw_tape(generators)       randomness, true paths and start of the platforms
+    move(platforms, command)    platforms after one step
+    make_sensors(tracker)       an object with acquire, sense, acquired, report (`passive_env.sensors.DirectionFinders`)
+    make_metrics()              one with begin, advance, violations (`passive_env.metrics.BearingMetrics`)
+    make_tracker, make_actions, make_observation, reward_weights
+
+Everything is a pure function of the world and the action: a `World` is never changed in place, so a planner may keep
+one and imagine.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from passive_env.belief import Belief
-from passive_env.metrics import Metrics, Violations, measure, violations
+from passive_env.metrics import Violations
 from passive_env.rewards import Moment, evaluate
-from passive_env.sensors import sense
-from passive_env.tape import Tape
-from trackers.bounds import bound_prior
 from trackers.gaussian import Gaussian
-
-PRIOR_VELOCITY_STD_M_S = 200.0
-"""Velocity prior of the Cramér–Rao bound at the first scan, the trackers' own; the scenario supplies the range's."""
-PRIOR_BEARING_STD_RAD = 10.0
-"""Nothing is known across the line of sight before the first scan; its bearings are counted once, as every scan's."""
 
 
 class World(NamedTuple):
-    """Everything about e episodes at one instant; every array's first axis is the environment."""
+    """Everything about e episodes at one instant; every array's first axis is the environment.
+
+    Tape, reports and metrics are the family's own tuples; `reports` is what the last scan brought.
+    """
 
     step: Any
     platforms: Any
-    tape: Tape
+    tape: Any
     track_state: Any
     estimate: Gaussian
-    assigned: Any
-    returns: Any
+    reports: Any
     last_action: Any
     bound: Any
     truth: Any
-    metrics: Metrics
+    metrics: Any
     violations: Violations
 
 
@@ -52,69 +53,47 @@ class Simulation:
         self.tracker = scenario.make_tracker()
         self.actions = scenario.make_actions()
         self.observation = scenario.make_observation()
-        self._all_stations = scenario.bearings == "all"
-        self._std = math.radians(scenario.bearing_std_deg)
-        # A missed bearing scales the expected information: the same as noise larger by 1/√P_D.
-        self._bound_std = self._std / math.sqrt(scenario.detection_probability)
+        self.sensors = scenario.make_sensors(self.tracker)
+        self.metrics = scenario.make_metrics()
 
     def begin(self, generators: Sequence[np.random.Generator]) -> World:
-        """Draw a tape per generator, take the first scan and start the tracks.
-
-        Tracks follow the order of the reference station's first bearings, counter-clockwise; targets are renumbered
-        to match, so track j is scored against target j.
-        """
-        tape = self.scenario.draw_tape(generators)
-        batch = len(generators)
-        step = np.zeros(batch, dtype=np.int64)
-        sighting = sense(tape, step, tape.platforms, self._std, in_order=True)
-        targets = tape.targets.shape[2]
-        tape = _renumber(tape, sighting.origin[:, -1, :targets])
-        truth = tape.targets[:, 0]
-        scan = sighting.scan._replace(
-            bearings=sighting.scan.bearings[..., :targets], valid=sighting.scan.valid[..., :targets]
-        )
-        state = self.tracker.initiate(scan)
+        """Draw a tape per generator, take the first scan and start the tracks; track j is scored against target j."""
+        tape, sighting = self.sensors.acquire(self.scenario.draw_tape(generators))
+        state = self.tracker.initiate(sighting.scan)
         estimate = self.tracker.estimate(state)
-        _check_estimate(estimate, truth.shape, self.tracker)
-        stations = tape.platforms.shape[1]
-        prior = bound_prior(
-            truth, tape.platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self.scenario.bound_range_std_m,
-            PRIOR_VELOCITY_STD_M_S,
-        )  # fmt: skip
-        bound, metrics = self._measure(estimate, truth, prior, tape.platforms, 0.0, self._std, all_stations=True)
+        _check_estimate(estimate, sighting.truth.shape, self.tracker)
+        bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms)
+        batch = len(generators)
         return World(
-            step, tape.platforms, tape, state, estimate,
-            np.ones((batch, targets, stations), dtype=bool), scan.valid.sum(-1),
-            np.zeros((batch, self.actions.size)), bound, truth, metrics,
-            violations(tape.platforms, truth, self.scenario.standoff_m, tape.discs),
+            np.zeros(batch, dtype=np.int64), tape.platforms, tape, state, estimate, self.sensors.acquired(sighting),
+            np.zeros((batch, self.actions.size)), bound, sighting.truth, metrics,
+            self.metrics.violations(tape.platforms, sighting.truth, tape),
         )  # fmt: skip
 
     def advance(self, world: World, command: Any) -> tuple[World, Any, dict[str, Any]]:
         """One step of all episodes under commands [e, a] in [−1, 1]: new world, reward [e], reward terms."""
-        scenario = self.scenario
         step = world.step + 1
-        platforms = scenario.move(world.platforms, command)
-        sighting = sense(world.tape, step, platforms, self._std)
-        update = self.tracker.update(self.tracker.predict(world.track_state, scenario.step_s), sighting.scan)
+        platforms = self.scenario.move(world.platforms, command)
+        predicted = self.tracker.predict(world.track_state, self.scenario.step_s)
+        sighting = self.sensors.sense(world.tape, step, platforms, predicted)
+        update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
-        bound, metrics = self._measure(
-            estimate, sighting.truth, world.bound, platforms, scenario.step_s, self._bound_std, self._all_stations
-        )
-        assigned = _all_stations(update.assignment >= 0, platforms.shape[1])
-        returns = np.add.reduce(sighting.scan.valid, axis=-1)
+        bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms)
         new = World(
-            step, platforms, world.tape, update.posterior, estimate, assigned, returns, command, bound,
-            sighting.truth, metrics, violations(platforms, sighting.truth, scenario.standoff_m, world.tape.discs),
+            step, platforms, world.tape, update.posterior, estimate, self.sensors.report(sighting, update), command,
+            bound, sighting.truth, metrics, self.metrics.violations(platforms, sighting.truth, world.tape),
         )  # fmt: skip
         moment = Moment(metrics, world.metrics, new.violations, command, self.finished(new))
-        reward, terms = evaluate(scenario.reward_weights, moment)
+        reward, terms = evaluate(self.scenario.reward_weights, moment)
         return new, reward, terms
 
     def belief(self, world: World) -> Belief:
         """What an operator knows of the world."""
+        told = world.reports
         return Belief(
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
-            world.assigned, world.returns, world.last_action, world.track_state, world.tape.discs,
+            told.assigned, told.returns, world.last_action, world.track_state, world.tape.discs,
+            told.missed, told.available,
         )  # fmt: skip
 
     def observe(self, world: World) -> Any:
@@ -125,12 +104,10 @@ class Simulation:
         """[e] bool: the episode's last decision has been taken."""
         return world.step >= self.scenario.steps
 
-    def _measure(self, estimate, truth, bound, platforms, step_s, std, all_stations):
-        s = self.scenario
-        return measure(
-            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, std, all_stations,
-            s.lost_error_m, s.lost_nees,
-        )  # fmt: skip
+    def info(self, world: World) -> dict[str, Any]:
+        """What `info` shows besides the reward's terms, each [e, …]; truth is used here."""
+        depths = {f"{name}_violation": depth for name, depth in world.violations._asdict().items()}
+        return world.metrics._asdict() | depths | self.sensors.info(world.reports)
 
 
 def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:
@@ -148,27 +125,6 @@ def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None
     variances = np.diagonal(estimate.cov, axis1=-2, axis2=-1)
     if not ((variances > 0.0) & np.isfinite(variances)).all():
         raise ValueError(f"{name} gave variances that are not positive numbers")
-
-
-def _renumber(tape: Tape, order: np.ndarray) -> Tape:
-    """Reorder each episode's targets; noise and detections move with them."""
-    if (order == np.arange(order.shape[-1])).all():
-        return tape
-    rows = order[:, None, None, :]
-    return tape._replace(
-        targets=np.take_along_axis(tape.targets, order[:, None, :, None], axis=2),
-        noise=np.take_along_axis(tape.noise, rows, axis=3),
-        detected=np.take_along_axis(tape.detected, rows, axis=3),
-    )
-
-
-def _all_stations(assigned: np.ndarray, stations: int) -> np.ndarray:
-    """[e, m, stations]: a tracker that uses the reference only reports one column; the others stand unassigned."""
-    if assigned.shape[-1] == stations:
-        return assigned
-    full = np.zeros((*assigned.shape[:-1], stations), dtype=bool)
-    full[..., -1:] = assigned
-    return full
 
 
 def map_rows(function: Any, *trees: Any) -> Any:

@@ -115,15 +115,10 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
         return self.simulation.observe(self.world)[0]
 
     def _info(self, terms: dict[str, float]) -> dict[str, Any]:
-        m = self.world.metrics
-        return {
-            "range_error_m": m.range_error_m[0].copy(),
-            "position_error_m": m.position_error_m[0].copy(),
-            "range_m": m.range_m[0].copy(),
-            "range_crlb_m": m.range_crlb_m[0].copy(),
-            "nees": m.nees[0].copy(),
-            "lost": m.lost[0].copy(),
-            "standoff_violation": float(self.world.violations.standoff[0]),
-            "nogo_violation": float(self.world.violations.nogo[0]),
-            "reward_terms": terms,
-        }
+        shown = {name: _own(values[0]) for name, values in self.simulation.info(self.world).items()}
+        return shown | {"reward_terms": terms}
+
+
+def _own(value: Any) -> Any:
+    """A number as Python's own, an array as a copy: what is handed out never changes later."""
+    return value.copy() if isinstance(value, np.ndarray) else value.item()

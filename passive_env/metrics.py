@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trackers.bounds import range_variance
+from trackers.bounds import bound_prior, range_variance
 from trackers.compiled import helper, kernel
 from trackers.linalg import cholesky_4, mahalanobis_4
 from trackers.measurement import condition_into, slope
@@ -17,6 +17,11 @@ FARTHEST_M = 1e9
 """Errors are cut here, and a tracker's NaN counts as this: a diverged filter must not leak into rewards."""
 
 MAX_NEES = 1e12
+
+PRIOR_VELOCITY_STD_M_S = 200.0
+"""Velocity prior of the Cramér–Rao bound at the first scan, the trackers' own; the scenario supplies the range's."""
+PRIOR_BEARING_STD_RAD = 10.0
+"""Nothing is known across the line of sight before the first scan; its bearings are counted once, as every scan's."""
 
 
 class Metrics(NamedTuple):
@@ -139,3 +144,43 @@ def violations(platforms, truth, standoff_m, discs) -> Violations:
     if standoff_m == 0.0 and discs.shape[-2] == 0:
         return Violations(np.zeros(platforms.shape[:-2]), np.zeros(platforms.shape[:-2]))
     return Violations(*_violations(platforms, truth, standoff_m, discs))
+
+
+class BearingMetrics:
+    """Figures of merit and violations of a scenario with bearings; holds no state of any episode.
+
+    Args:
+        scenario: supplies noise, bearings used, detection probability, the bound's prior and the limits.
+    """
+
+    def __init__(self, scenario: Any):
+        self._scenario = scenario
+        self._all_stations = scenario.bearings == "all"
+        self._std = math.radians(scenario.bearing_std_deg)
+        # A missed bearing scales the expected information: the same as noise larger by 1/√P_D.
+        self._bound_std = self._std / math.sqrt(scenario.detection_probability)
+
+    def begin(self, estimate, truth, platforms) -> tuple[Any, Metrics]:
+        """Bound and figures of the first scan, of which all stations' bearings count."""
+        prior = bound_prior(
+            truth, platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self._scenario.bound_range_std_m,
+            PRIOR_VELOCITY_STD_M_S,
+        )  # fmt: skip
+        return self._measure(estimate, truth, prior, platforms, 0.0, self._std, all_stations=True)
+
+    def advance(self, estimate, truth, bound, platforms) -> tuple[Any, Metrics]:
+        """Bound and figures of a later scan from the bound after the one before it."""
+        return self._measure(
+            estimate, truth, bound, platforms, self._scenario.step_s, self._bound_std, self._all_stations
+        )
+
+    def violations(self, platforms, truth, tape) -> Violations:
+        """Intrusions into stand-off rings and no-go discs."""
+        return violations(platforms, truth, self._scenario.standoff_m, tape.discs)
+
+    def _measure(self, estimate, truth, bound, platforms, step_s, std, all_stations) -> tuple[Any, Metrics]:
+        s = self._scenario
+        return measure(
+            estimate, truth, bound, platforms, step_s, s.process_noise_m_s, std, all_stations, s.lost_error_m,
+            s.lost_nees,
+        )  # fmt: skip

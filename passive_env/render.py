@@ -280,7 +280,7 @@ class Scene:
         self._ellipses.set_verts(list(1e-3 * ellipses(mean, world.estimate.cov[0, :, :2, :2])))
         ends = stations + LINE_BEYOND * (mean[:, None] - stations)
         lines = np.stack(np.broadcast_arrays(stations, ends), axis=2)
-        lines = np.where(world.assigned[0][..., None, None], 1e-3 * lines, np.nan)
+        lines = np.where(world.reports.assigned[0][..., None, None], 1e-3 * lines, np.nan)
         self._bearings.set_segments(list(lines.reshape(-1, 2, 2)))
         place_estimates(self._estimates, self._off_frame, stations[-1], mean, frame)
 

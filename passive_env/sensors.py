@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.belief import Reports
 from passive_env.tape import Tape
 from trackers.angles import wrap_scalar
 from trackers.compiled import kernel
-from trackers.contract import Scan
+from trackers.contract import Scan, Update
 
 
 class Sighting(NamedTuple):
@@ -76,3 +77,78 @@ def sense(tape: Tape, step, platforms, bearing_std, in_order: bool = False) -> S
         step, platforms, bearing_std, in_order,
     )  # fmt: skip
     return Sighting(Scan(bearings, valid, platforms[..., :2], bearing_std), truth, origin)
+
+
+class DirectionFinders:
+    """All stations' direction finders: the sensors of scenarios with unlabelled bearings.
+
+    Args:
+        bearing_std: [] rad.
+    """
+
+    def __init__(self, bearing_std: float):
+        self._std = bearing_std
+
+    def acquire(self, tape: Tape) -> tuple[Tape, Sighting]:
+        """The first scan, in which every station sees every target and nothing else.
+
+        Tracks follow the order of the reference station's first bearings, counter-clockwise; targets are renumbered
+        to match.
+        """
+        step = np.zeros(len(tape.platforms), dtype=np.int64)
+        sighting = sense(tape, step, tape.platforms, self._std, in_order=True)
+        targets = tape.targets.shape[2]
+        tape = _renumber(tape, sighting.origin[:, -1, :targets])
+        bearings, valid = sighting.scan.bearings[..., :targets], sighting.scan.valid[..., :targets]
+        scan = sighting.scan._replace(bearings=bearings, valid=valid)
+        return tape, sighting._replace(scan=scan, truth=tape.targets[:, 0])
+
+    def sense(self, tape: Tape, step, platforms, predicted: Any) -> Sighting:
+        """A later scan; nothing in it depends on the predicted tracks."""
+        return sense(tape, step, platforms, self._std)
+
+    def acquired(self, sighting: Sighting) -> Reports:
+        """What the first scan brought: all of it started tracks."""
+        e, stations, targets = sighting.scan.valid.shape
+        return _reports(np.ones((e, targets, stations), dtype=bool), sighting.scan)
+
+    def report(self, sighting: Sighting, update: Update) -> Reports:
+        """What a scan brought; a tracker that uses the reference only reports one column, the others are unassigned."""
+        assigned = update.assignment >= 0
+        stations = sighting.scan.valid.shape[1]
+        if assigned.shape[-1] != stations:
+            full = np.zeros((*assigned.shape[:-1], stations), dtype=bool)
+            full[..., -1:] = assigned
+            assigned = full
+        return _reports(assigned, sighting.scan)
+
+    def info(self, reports: Reports) -> dict[str, Any]:
+        """Nothing more than every `info` shows."""
+        return {}
+
+
+def _reports(assigned: np.ndarray, scan: Scan) -> Reports:
+    e, targets, _ = assigned.shape
+    returns = np.add.reduce(scan.valid, axis=-1)
+    return Reports(assigned, returns, missed=np.empty((e, targets, 0)), available=np.empty((e, 0, 2), dtype=bool))
+
+
+def _renumber(tape: Tape, order: np.ndarray) -> Tape:
+    """Reorder each episode's targets; noise and detections move with them."""
+    if (order == np.arange(order.shape[-1])).all():
+        return tape
+    rows = order[:, None, None, :]
+    return tape._replace(
+        targets=np.take_along_axis(tape.targets, order[:, None, :, None], axis=2),
+        noise=np.take_along_axis(tape.noise, rows, axis=3),
+        detected=np.take_along_axis(tape.detected, rows, axis=3),
+    )
+
+
+def _all_stations(assigned: np.ndarray, stations: int) -> np.ndarray:
+    """[e, m, stations]: a tracker that uses the reference only reports one column; the others stand unassigned."""
+    if assigned.shape[-1] == stations:
+        return assigned
+    full = np.zeros((*assigned.shape[:-1], stations), dtype=bool)
+    full[..., -1:] = assigned
+    return full

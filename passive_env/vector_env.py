@@ -14,7 +14,6 @@ from gymnasium.vector.utils import batch_space
 from passive_env.belief import Belief
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation, World, map_rows, replace_rows
-from passive_env.metrics import Metrics, Violations
 from passive_env.observations import Field
 from passive_env.scenario import Scenario
 from trackers.compiled import Blocks
@@ -219,9 +218,8 @@ class PassiveVectorEnv(VectorEnv):
 
     def _info(self, terms: dict[str, np.ndarray]) -> dict[str, Any]:
         assert self._worlds is not None
-        names = (*Metrics._fields, *(f"{name}_violation" for name in Violations._fields))
-        columns = zip(*((*world.metrics, *world.violations) for world in self._worlds), strict=True)
-        info: dict[str, Any] = {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
+        parts = [self.simulation.info(world) for world in self._worlds]
+        info: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         info["reward_terms"] = terms
         return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in info}
 

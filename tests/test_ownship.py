@@ -15,10 +15,10 @@ from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.ownship import DISC_OFFSET, NEAREST_DISC, Ownship
-from passive_env.core import PRIOR_VELOCITY_STD_M_S, Simulation, map_rows
+from passive_env.core import Simulation, map_rows
 from passive_env.flights import FlightFileError, load_flights
 from passive_env.kinematics import maneuver, weave
-from passive_env.metrics import violations
+from passive_env.metrics import PRIOR_VELOCITY_STD_M_S, violations
 from passive_env.sensors import sense
 from trackers import RpEkf, Scan
 from trackers.bounds import posterior_bound_information

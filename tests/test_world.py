@@ -361,7 +361,7 @@ def test_acquisition_scan_is_complete_and_counter_clockwise(targets):
     if targets > 1:
         straddles = np.abs(np.diff(bearings[:, 1, :targets], axis=-1)).max(axis=-1) > math.pi
         assert straddles.any()
-    assert np.array_equal(world.returns, np.full((300, 2), targets))
+    assert np.array_equal(world.reports.returns, np.full((300, 2), targets))
 
 
 def test_tracks_start_on_the_bearings_of_the_targets_they_are_scored_against():
@@ -399,7 +399,7 @@ def test_scans_hold_what_the_tape_says():
         sighting = sense(world.tape, world.step, world.platforms, math.radians(0.5))
         valid, origin = sighting.scan.valid, sighting.origin
         assert np.array_equal(valid.sum(-1), world.tape.detected[:, k].sum(-1) + world.tape.false_count[:, k])
-        assert np.array_equal(world.returns, valid.sum(-1))
+        assert np.array_equal(world.reports.returns, valid.sum(-1))
         for m in range(3):
             assert np.array_equal((origin == m).sum(-1), world.tape.detected[:, k, :, m])
         assert np.array_equal(((origin == -1) & valid).sum(-1), world.tape.false_count[:, k])

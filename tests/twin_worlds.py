@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env import core
 from passive_env.core import Simulation
 
 SHIFT = np.array([23e3, -17e3, 40.0, -70.0])
@@ -44,27 +43,47 @@ def fly_twins(monkeypatch, scenario: Any, decide: Callable[[], Callable[[Any, An
 
     `decide` makes a decision function anew for each run.
     """
-    sense, draw_tape = core.sense, type(scenario).draw_tape
+    family = type(scenario)
+    make_sensors = family.make_sensors
     scans = []
 
-    def record(*args, **kwargs):
-        scans.append(sense(*args, **kwargs))
-        return scans[-1]
+    class Recorder(Wrapper):
+        def acquire(self, tape):
+            scans.append(self.sensors.acquire(tape))
+            return scans[-1]
 
-    def replay(tape, step, *args, **kwargs):
-        sighting = scans.pop(0)
-        return sighting._replace(truth=np.take_along_axis(tape.targets, step[:, None, None, None], axis=1)[:, 0])
+        def sense(self, *args):
+            scans.append(self.sensors.sense(*args))
+            return scans[-1]
 
-    def shifted(self, generators):
-        tape = draw_tape(self, generators)
-        return tape._replace(targets=tape.targets + SHIFT, noise=-tape.noise)
+    class Replayer(Wrapper):
+        def acquire(self, tape):
+            tape, sighting = scans.pop(0)
+            tape = tape._replace(targets=tape.targets + shift(tape.targets.shape[-1]), noise=-tape.noise)
+            return tape, sighting._replace(truth=tape.targets[:, 0])
 
-    with monkeypatch.context() as patch:
-        patch.setattr(core, "sense", record)
-        first = fly(scenario, decide(), seeds)
-    with monkeypatch.context() as patch:
-        patch.setattr(core, "sense", replay)
-        patch.setattr(type(scenario), "draw_tape", shifted)
-        second = fly(scenario, decide(), seeds)
+        def sense(self, tape, step, platforms, predicted):
+            return scans.pop(0)._replace(truth=tape.targets[np.arange(len(step)), step])
+
+    runs = []
+    for twin in (Recorder, Replayer):
+        with monkeypatch.context() as patch:
+            patch.setattr(family, "make_sensors", lambda self, tracker, twin=twin: twin(make_sensors(self, tracker)))
+            runs.append(fly(scenario, decide(), seeds))
     assert scans == []
-    return first, second
+    return runs
+
+
+def shift(length):
+    """SHIFT of a planar state of four numbers or, level, of one in space of six."""
+    return SHIFT if length == 4 else np.insert(SHIFT, (2, 4), 0.0)
+
+
+class Wrapper:
+    """Sensors that pass everything on to others."""
+
+    def __init__(self, sensors):
+        self.sensors = sensors
+
+    def __getattr__(self, name):
+        return getattr(self.sensors, name)

@@ -18,10 +18,13 @@ import numpy as np
 from passive_env.actions import Continuous, Discrete
 from passive_env.flights import FlightPaths, load_flights
 from passive_env.kinematics import turn
+from passive_env.metrics import BearingMetrics
 from passive_env.observations import TrackObservation
 from passive_env.rewards import TERMS
 from passive_env.scenario import Scenario, choice, flag, free, integer, number
+from passive_env.sensors import DirectionFinders
 from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
+from passive_env.truth import TruthObservation
 from trackers import TRACKERS
 from trackers.association import AssociationModel
 from trackers.compiled import kernel
@@ -161,6 +164,18 @@ class BearingScenario(Scenario):
     def make_observation(self) -> TrackObservation:
         """Observation model."""
         return TrackObservation(self.stations, self.targets, self.stations, self.steps, self.discs)
+
+    def make_truth_observation(self) -> TruthObservation:
+        """What a critic may know in training."""
+        return TruthObservation(self.targets)
+
+    def make_sensors(self, tracker: Tracker) -> DirectionFinders:
+        """The stations' direction finders; what they see does not depend on the tracker."""
+        return DirectionFinders(math.radians(self.bearing_std_deg))
+
+    def make_metrics(self) -> BearingMetrics:
+        """Figures of merit."""
+        return BearingMetrics(self)
 
     @cached_property
     def reward_weights(self) -> dict[str, float]:
