@@ -121,7 +121,14 @@ def test_the_critic_learns_from_the_truth_in_imitation(tmp_path):
             PassiveVectorEnv(run.training_scenario, num_envs=8, autoreset_mode="same_step"), truth=asymmetric
         )
         model = new_model(dataclasses.replace(chosen, preset=preset), env)
-        taught = {**run.preset["imitation"], "episodes": 256, "epochs": 60, "learning_rate": 1e-2, "critic": 1e3, "mirror": False}
+        taught = {
+            **run.preset["imitation"],
+            "episodes": 256,
+            "epochs": 60,
+            "learning_rate": 1e-2,
+            "critic": 1e3,
+            "mirror": False,
+        }
         losses[asymmetric] = imitate(model, run.training_scenario, seed=1, truth=env.truth, **taught)
     assert losses[True] < 0.7 * losses[False]
 
