@@ -407,8 +407,9 @@ def test_the_bound_is_the_information_recursion_with_the_episodes_availability()
 
 def test_figures_of_merit_and_reward_by_hand():
     weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(
-        ("log_range_error", "relative_range_error", "log_position_error", "relative_position_error",
-         "position_error", "final_position_error", "log_range_bound", "log_position_bound", "information_gain", "maneuver", "standoff", "lost_track")
+        ("log_range_error", "relative_range_error", "log_position_error", "relative_position_error", "position_error",
+         "final_position_error", "log_range_bound", "log_position_bound", "information_gain", "maneuver", "standoff",
+         "lost_track")
     )}  # fmt: skip
     env = PassiveEnv("AngleFusion", steps=4, lost_error_m=300.0, lost_nees=1.0, standoff_m=11e3, **weights)
     _, info = env.reset(seed=4)

@@ -959,6 +959,73 @@ def test_a_trackers_first_estimate_is_checked(spoil, error, message):
         PassiveEnv(tracker=Spoiled()).reset(seed=0)
 
 
+class Later(PlainEkf):
+    """Gives sound estimates for three scans, then spoils them."""
+
+    def __init__(self, spoil):
+        super().__init__()
+        self._spoil, self.asked = spoil, 0
+
+    def estimate(self, state):
+        self.asked += 1
+        sound = super().estimate(state)
+        return sound if self.asked <= 3 else self._spoil(*sound)
+
+
+LATE_FAULTS = {
+    "tuple": (lambda mean, cov: (mean, cov), TypeError, r"Later: estimate\(\) gave tuple"),
+    "a track too few": (lambda mean, cov: Gaussian(mean[:, :1], cov[:, :1]), ValueError, r"must be \(\(2, 3, 4\)"),
+    "one for all": (lambda mean, cov: Gaussian(mean[:1], cov[:1]), ValueError, r"\(1, 3, 4\), .*must be \(\(2, 3, 4\)"),
+    "no velocity": (lambda mean, cov: Gaussian(mean[..., :2], cov), ValueError, r"must be \(\(2, 3, 4\)"),
+    "variances": (lambda mean, cov: Gaussian(mean, cov[..., 0]), ValueError, r"\(2, 3, 4, 4\)"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "error", "message"), LATE_FAULTS.values(), ids=LATE_FAULTS)
+def test_a_trackers_later_estimates_keep_their_shape(spoil, error, message):
+    """An estimate for one environment would broadcast to all without a word."""
+    env = PassiveVectorEnv(num_envs=2, threads=1, tracker=Later(spoil))
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros((2, 2)))
+    with pytest.raises(error, match=message):
+        env.step(np.zeros((2, 2)))
+
+
+def numbers_in(tree):
+    """All arrays and numbers in nested dicts and tuples."""
+    if isinstance(tree, dict):
+        tree = tuple(tree.values())
+    return [leaf for part in tree for leaf in numbers_in(part)] if isinstance(tree, tuple) else [tree]
+
+
+SPOILT = {
+    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
+    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
+    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
+    "one velocity": lambda mean, cov: Gaussian(mean + np.array([0.0, 0.0, np.nan, 0.0]), cov),
+    "negative": lambda mean, cov: Gaussian(mean, -cov),
+    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
+@pytest.mark.parametrize("scenario", ["TwoStation", "Ownship"])
+def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, scenario):
+    """Observation, reward and all of info stay finite, with every reward term in use."""
+    weights = {f"reward_{name}": 1.0 for name in TERMS}
+    tracker = Later(spoil)
+    env = PassiveVectorEnv(scenario, num_envs=2, threads=1, tracker=tracker, standoff_m=10e3, steps=8, **weights)
+    env.reset(seed=0)
+    with np.errstate(all="ignore"):
+        for _ in range(8):
+            observation, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.3))
+            assert observation in env.observation_space
+            assert np.isfinite(reward).all()
+            assert all(np.isfinite(leaf).all() for leaf in numbers_in(info))
+    assert tracker.asked == 9
+
+
 def test_flights_are_checked_when_the_environment_is_made(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
         gym.make("passive/TwoStation-v0", course="flights", flights=str(tmp_path / "nowhere.csv"))
