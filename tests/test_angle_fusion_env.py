@@ -298,8 +298,8 @@ def test_targets_are_missed_as_often_as_the_detection_probability_says():
 
 
 def test_more_returns_than_the_tracker_weighs_are_counted():
-    """Gates of sensors this coarse hold the whole window and its 81 false returns."""
-    fields = {"clutter_density_per_deg2": 1.0, "clutter_window_deg": 4.5}
+    """Gates of sensors this coarse hold the whole window and its 71 false returns."""
+    fields = {"clutter_density_per_deg2": 1.0, "clutter_window_deg": 4.2}
     env = PassiveEnv("AngleFusion", azimuth_std_deg=3.0, elevation_std_deg=3.0, **fields)
     dropped, inside = [], []
     for seed in range(6):
@@ -621,6 +621,12 @@ def test_only_policies_that_look_at_nothing_are_offered_and_they_fly(name):
 # ------------------------------------------------------------------------------------------------ pictures
 
 
+def picture(env) -> np.ndarray:
+    drawn = env.render()
+    assert drawn is not None
+    return drawn
+
+
 def picture_env(name="AngleFusionClutter", steps=0, **fields):
     env = PassiveEnv(name, render_mode="rgb_array", **fields)
     env.reset(seed=3)
@@ -633,13 +639,13 @@ def picture_env(name="AngleFusionClutter", steps=0, **fields):
 @pytest.mark.parametrize("name", IDS)
 def test_pictures_render_at_any_step(name, steps):
     env = picture_env(name, steps)
-    picture = env.render()
-    assert picture.shape == (800, 800, 3)
-    assert picture.dtype == np.uint8
-    assert 0.5 < (picture == 255).all(-1).mean() < 0.99
-    assert np.array_equal(env.render(), picture)
+    drawn = picture(env)
+    assert drawn.shape == (800, 800, 3)
+    assert drawn.dtype == np.uint8
+    assert 0.5 < (drawn == 255).all(-1).mean() < 0.99
+    assert np.array_equal(picture(env), drawn)
     env.step(np.zeros(4))
-    assert not np.array_equal(env.render(), picture)
+    assert not np.array_equal(picture(env), drawn)
 
 
 def test_a_diverged_track_still_gives_a_picture():
@@ -648,7 +654,7 @@ def test_a_diverged_track_still_gives_a_picture():
     lost = map_rows(lambda a: np.full_like(a, np.nan), world.estimate)
     predicted = map_rows(lambda a: np.full_like(a, np.nan), world.reports.predicted)
     env._world = world._replace(estimate=lost, reports=world.reports._replace(predicted=predicted))
-    assert env.render().shape == (800, 800, 3)
+    assert picture(env).shape == (800, 800, 3)
 
 
 def test_weights_in_the_picture_are_the_trackers():
@@ -675,7 +681,7 @@ def test_weights_in_the_picture_are_the_trackers():
     [
         ({"clutter_mean": 12.5}, r"clutter_mean = 12.5: must lie in \[0.0, 12.0\]"),
         ({"clutter_mean": -1.0}, "clutter_mean"),
-        ({"clutter_density_per_deg2": 0.9}, "clutter_density_per_deg2 = 0.9: 360 false returns in a window of 20"),
+        ({"clutter_density_per_deg2": 0.9}, "clutter_density_per_deg2 = 0.9: 360 false returns .* in a window of 20"),
         ({"clutter_mean": 1.0, "clutter_density_per_deg2": 0.1}, "choose it or clutter_mean"),
         ({"availability0_min": -0.1}, r"availability0_min = -0.1: must lie in \[0.0, 1.0\]"),
         ({"availability1_max": 1.1}, r"availability1_max = 1.1: must lie in \[0.0, 1.0\]"),

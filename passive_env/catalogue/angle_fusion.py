@@ -130,8 +130,8 @@ class AngleFusion(TrackingScenario):
         if self._returns.false_slots > MOST_FALSE:
             raise self._error(
                 "clutter_density_per_deg2",
-                f"{self._false_mean:.0f} false returns in a window of {2 * self.clutter_window_deg:g}°: lower it or "
-                f"clutter_window_deg = {self.clutter_window_deg}; at most {MOST_FALSE} slots are kept",
+                f"{self._false_mean:.0f} false returns on average and up to {self._returns.false_slots} in a window of "
+                f"{2 * self.clutter_window_deg:g}° are more than {MOST_FALSE}; lower it or clutter_window_deg",
             )
         self._check_standoff()
         self.make_tracker()
