@@ -40,6 +40,8 @@ class Algorithm(NamedTuple):
             return f"cannot choose among actions={actions!r}, it needs actions='continuous'"
         if not self.on_policy and "imitation" in preset:
             return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
+        if preset.get("asymmetric", False) and (self.learner, self.network) != (PPO, "MlpPolicy"):
+            return "has no critic that could know more than its actor, its preset must not say 'asymmetric = true'"
         return None
 
 

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from passive_env.scenario import parse_fields
+
 HELD_OUT = "held-out"
 
 
@@ -39,6 +41,8 @@ class Train:
     """Go on with the run in --out from its last checkpoint."""
     episodes: int = 1000
     """Episodes of the final evaluation."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords, in training and evaluation: NAME=VALUE …, such as steps=40 tracker=rp_ekf_adaptive."""
     flights: str = HELD_OUT
     """Recorded flights of the final evaluation: a CSV file, or 'held-out' for the test part of the shipped ones."""
 
@@ -58,6 +62,8 @@ class Evaluate:
     """Paired episodes."""
     seed: int = 30_000_000
     """Seed of the first episode."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords: NAME=VALUE …, such as bearing_std_deg=1 tracker=rp_ekf_adaptive."""
     flights: str | None = None
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
@@ -118,13 +124,16 @@ def _guarded(command: Any) -> int:
 def _train(c: Train) -> None:
     from agents.main_job import train_and_compare
 
-    train_and_compare(c.env, c.algo, c.timesteps, c.seed, c.envs, c.device, c.out, c.resume, c.episodes, c.flights)
+    train_and_compare(
+        c.env, c.algo, c.timesteps, c.seed, c.envs, c.device, c.out, c.resume, c.episodes, c.flights,
+        parse_fields(c.fields),
+    )  # fmt: skip
 
 
 def _evaluate(c: Evaluate) -> None:
     from agents.main_job import compare
 
-    compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out)
+    compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
 
 
 def _reproduce(c: Reproduce) -> None:

@@ -12,6 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch.nn import functional
 
 from agents.policy import make_policy, sees_world
+from passive_env.truth import TruthObservation
 from passive_env.vector_env import PassiveVectorEnv
 
 BATCH = 2048
@@ -28,6 +29,7 @@ def imitate(
     seed: int,
     critic: float = 0.0,
     mirror: bool = False,
+    truth: TruthObservation | None = None,
 ) -> float:
     """Fit the actor to a teacher's commands; returns the last loss.
 
@@ -49,9 +51,10 @@ def imitate(
             what the actor has learned.
         mirror: learn from the mirror image of every flight too, with left and right exchanged; a teacher that treats
             the two sides alike would have flown it so.
+        truth: what the critic of an `agents.asymmetric.AsymmetricPolicy` sees beside the belief.
     """
     policy: Any = model.policy
-    flights = _demonstrations(scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror)
+    flights = _demonstrations(scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror, truth)
     length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
     x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
     optimizer = torch.optim.Adam(policy.parameters(), learning_rate)
@@ -90,7 +93,14 @@ def _read(policy: Any, x: torch.Tensor) -> tuple[Any, torch.Tensor]:
 
 
 def _demonstrations(
-    scenario: Any, teacher: str, episodes: int, noise: float, seed: int, gamma: float, mirror: bool
+    scenario: Any,
+    teacher: str,
+    episodes: int,
+    noise: float,
+    seed: int,
+    gamma: float,
+    mirror: bool,
+    truth: TruthObservation | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Disturbed flights: observations [k, e, d], the teacher's actions [k, e, a], discounted rewards to go [k, e]."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
@@ -100,12 +110,14 @@ def _demonstrations(
         raise ValueError(f"teacher {teacher!r} looks at the truth: imitate one that decides from the belief")
     policy.reset(env.belief())
     rng = np.random.default_rng(seed)
-    observations, commands, rewards = [], [], []
+    observations, truths, commands, rewards = [], [], [], []
     drift = np.zeros((episodes, env.simulation.actions.size))
     shaken = rng.random((episodes, 1)) < 0.5  # half the flights also drift off for longer
     for _ in range(scenario.steps):
         command = policy.act(env.belief(), observation)
         observations.append(observation)
+        if truth is not None:
+            truths.append(truth(env.world))
         commands.append(command)
         drift = 0.8 * drift + noise * rng.standard_normal(command.shape)
         disturbed = command + noise * rng.standard_normal(command.shape) + shaken * drift
@@ -113,9 +125,13 @@ def _demonstrations(
         rewards.append(reward)
     for k in range(len(rewards) - 2, -1, -1):
         rewards[k] = rewards[k] + gamma * rewards[k + 1]
-    x, y, earned = np.array(observations), np.array(commands), np.array(rewards, dtype=np.float32)
+    y, earned = np.array(commands), np.array(rewards, dtype=np.float32)
+    seen = [(np.array(observations), env.simulation.observation.mirrored)]
+    if truth is not None:
+        seen.append((np.array(truths), truth.mirrored))
+    x = np.concatenate([part for part, _ in seen], axis=-1)
     if mirror:
-        x = np.concatenate([x, env.simulation.observation.mirrored(x)], axis=1)
+        x = np.concatenate([x, np.concatenate([image(part) for part, image in seen], axis=-1)], axis=1)
         y = np.concatenate([y, env.simulation.actions.mirrored(y)], axis=1)
         earned = np.concatenate([earned, earned], axis=1)
     return x, env.simulation.actions.encode(y), earned

@@ -22,42 +22,42 @@ FINAL_SEED = 30_000_000
 
 def train_and_compare(
     env: str, algo: str, timesteps: int | None, seed: int, envs: int | None, device: str, out: Path | None,
-    resume: bool, episodes: int, flights: str,
+    resume: bool, episodes: int, flights: str, fields: dict[str, Any],
 ) -> Path:  # fmt: skip
-    """The main job; returns the run folder. Arguments as in `agents.cli.Train`."""
+    """The main job; returns the run folder. Arguments as in `agents.cli.Train`; fields as keywords of the scenario."""
     from agents.training import plan, train
 
     name = scenario_name(env)
     _check_numbers(episodes, seed)
     if seed >= 2**32:
         raise ValueError(f"--seed {seed}: must lie below 2**32")
-    flown_by(name, flights)  # a bad file must fail before the training, not after it
+    flown_by(name, flights, fields)  # a bad file must fail before the training, not after it
     folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
-    run = plan(name, folder, algo, seed, device, timesteps, envs)
+    run = plan(name, folder, algo, seed, device, timesteps, envs, fields)
     begin = time.perf_counter()
     train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
-    policies = (*_standard_policies(name), str(folder))
-    compare(env, policies, (), episodes, FINAL_SEED, None, folder)
-    compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights")
+    policies = (*_standard_policies(name, fields), str(folder))
+    compare(env, policies, (), episodes, FINAL_SEED, None, folder, fields)
+    compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields)
     return folder
 
 
 def compare(
     env: str, policies: Sequence[str] | None, trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
-    out: Path,
+    out: Path, fields: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     """Evaluate policies (crossed with trackers, if any are named), write the files and print the table.
 
-    Arguments as in `agents.cli.Evaluate`; returns the summary.
+    Arguments as in `agents.cli.Evaluate`, fields as keywords of the scenario; returns the summary.
     """
     name = scenario_name(env)
     _check_numbers(episodes, seed)
     if policies is None:
-        policies = _standard_policies(name)
+        policies = _standard_policies(name, fields)
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
-    base = make_scenario(name, {}) if flights is None else flown_by(name, flights)
+    base = make_scenario(name, fields) if flights is None else flown_by(name, flights, fields)
     scenarios = {tracker: base.replace(tracker=tracker) for tracker in trackers} or {"": base}
     teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
     make_folder(out)
@@ -65,7 +65,7 @@ def compare(
     for tracker, scenario in scenarios.items():
         records = fly_all(scenario, teams[tracker], episodes, seed)
         summary = summarize(environment_id(name), seed, records)
-        summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights}
+        summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights, "fields": fields}
         folder = out / tracker if len(scenarios) > 1 else out
         write_evaluation(folder, summary, records, scenario)
         print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
@@ -77,21 +77,21 @@ def compare(
     return summaries
 
 
-def flown_by(name: str, flights: str) -> Any:
+def flown_by(name: str, flights: str, fields: dict[str, Any]) -> Any:
     """The scenario with recorded flights as targets: a file, or the held-out part of the shipped one.
 
     Raises:
         FileNotFoundError, ValueError: no such file, or nothing usable in it.
     """
     source = {"flight_split": "test"} if flights == HELD_OUT else {"flight_split": "all", "flights": flights}
-    scenario = make_scenario(name, {"course": "flights", **source})
+    scenario = make_scenario(name, {**fields, "course": "flights", **source})
     scenario.check_flights()
     return scenario
 
 
-def _standard_policies(name: str) -> list[str]:
+def _standard_policies(name: str, fields: dict[str, Any]) -> list[str]:
     """All policies a scenario offers, except oracles: they take as long as planners and decide from the truth."""
-    scenario = make_scenario(name, {})
+    scenario = make_scenario(name, fields)
     return [known for known in policy_names(scenario) if not sees_world(make_policy(known, scenario))]
 
 

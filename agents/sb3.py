@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from passive_env.observations import LIMIT
 from passive_env.vector_env import PassiveVectorEnv
 
 
@@ -22,15 +24,21 @@ class Sb3VecEnv(VecEnv):
     Args:
         env: vector environment in autoreset mode SAME_STEP.
         bootstrap_at_horizon: mark the last step as a time limit, past which values are bootstrapped.
+        truth: append what a critic may know (`passive_env.truth`) to the observations; see `agents.asymmetric`.
+    Raises:
+        ValueError: another autoreset mode, or truth together with a bootstrap, which needs the belief alone.
     """
 
-    def __init__(self, env: PassiveVectorEnv, bootstrap_at_horizon: bool = False):
+    def __init__(self, env: PassiveVectorEnv, bootstrap_at_horizon: bool = False, truth: bool = False):
         if env.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ValueError(f"Sb3VecEnv needs autoreset_mode='same_step', got {env.autoreset_mode.name}")
+        if truth and bootstrap_at_horizon:
+            raise ValueError("truth=True goes with bootstrap_at_horizon=False: an episode's last truth is not kept")
         self.env = env
+        self.truth = env.scenario.make_truth_observation() if truth else None
         self.bootstrap_at_horizon = bootstrap_at_horizon
         self.render_mode = env.render_mode
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        super().__init__(env.num_envs, self._space(env.single_observation_space), env.single_action_space)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=int)
         self._blank: list[dict[str, Any]] = [{} for _ in range(env.num_envs)]
@@ -43,7 +51,7 @@ class Sb3VecEnv(VecEnv):
         self._reset_seeds()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return observation
+        return self._with_truth(observation)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Remember the actions."""
@@ -56,7 +64,16 @@ class Sb3VecEnv(VecEnv):
         self._lengths += 1
         done = terminated | truncated
         infos = self._finish(done, truncated & ~terminated, info) if done.any() else self._blank
-        return observation, reward.astype(np.float32), done, infos
+        return self._with_truth(observation), reward.astype(np.float32), done, infos
+
+    def _space(self, known: Any) -> spaces.Box:
+        if self.truth is None:
+            return known
+        more = np.full(len(self.truth.fields), LIMIT, dtype=np.float32)
+        return spaces.Box(np.concatenate([known.low, -more]), np.concatenate([known.high, more]))
+
+    def _with_truth(self, observation: np.ndarray) -> np.ndarray:
+        return observation if self.truth is None else np.hstack([observation, self.truth(self.env.world)])
 
     def _finish(self, done: np.ndarray, timeout: np.ndarray, info: dict[str, Any]) -> list[dict[str, Any]]:
         infos = list(self._blank)

@@ -23,6 +23,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.algorithms import ALGORITHMS, find_algorithm
+from agents.asymmetric import AsymmetricPolicy, for_flying
 from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
@@ -81,6 +82,11 @@ class Run:
     def training_scenario(self) -> Any:
         """The same with the preset's rewards."""
         return make_scenario(self.scenario_name, {**self.preset.get("scenario", {}), **self.fields})
+
+    @property
+    def asymmetric(self) -> bool:
+        """Whether the critic sees the truth (`agents.asymmetric`)."""
+        return self.preset.get("asymmetric", False)
 
     def to_dict(self) -> dict[str, Any]:
         """What is saved beside the model."""
@@ -150,6 +156,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     torch.set_num_threads(run.preset.get("torch_threads", 1))
     env = Sb3VecEnv(
         PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
+        truth=run.asymmetric,
     )
     model = _load_checkpoint(run, env) if resume and (run.folder / CHECKPOINT).exists() else new_model(run, env)
     if not resume:
@@ -160,9 +167,14 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
             left, callback=Checkpoints(run), log_interval=ALGORITHMS[run.algo].log_interval(run.envs),
             reset_num_timesteps=False, progress_bar=progress, tb_log_name="log",
         )  # fmt: skip
-    save_model(model, run.folder / MODEL)
+    save_model(_flown(model), run.folder / MODEL)
     env.close()
     return run.folder / MODEL
+
+
+def _flown(model: Any) -> BaseAlgorithm:
+    """The model as it is flown: without a critic that sees the truth."""
+    return for_flying(model) if isinstance(model.policy, AsymmetricPolicy) else model
 
 
 def save_model(model: BaseAlgorithm, file: Path, *include: str) -> None:
@@ -216,7 +228,9 @@ class Checkpoints(BaseCallback):
             for name in (known for known in REFERENCES if known in policy_names(scenario)):
                 record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
                 self._references[name] = float(record.final.mean())
-        record = fly(scenario, ModelPolicy(self.model, Simulation(scenario)), EVALUATION_EPISODES, EVALUATION_SEED)
+        record = fly(
+            scenario, ModelPolicy(_flown(self.model), Simulation(scenario)), EVALUATION_EPISODES, EVALUATION_SEED
+        )
         error = float(record.final.mean())
         self.logger.record("eval/final_range_error_m", error)
         for name, reference in self._references.items():
@@ -247,18 +261,19 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     preset = run.preset
     algorithm = ALGORITHMS[run.algo]
     learner: Any = algorithm.learner
+    truth = {} if env.truth is None else {"truth_size": len(env.truth.fields)}
     model = learner(
-        algorithm.network,
+        AsymmetricPolicy if truth else algorithm.network,
         env,
         seed=run.seed,
         device=run.device,
         learning_rate=LinearDecay(preset["learning_rate"]),
-        policy_kwargs={"net_arch": list(preset["net_arch"]), **preset.get("policy", {})},
+        policy_kwargs={"net_arch": list(preset["net_arch"]), **truth, **preset.get("policy", {})},
         tensorboard_log=str(run.folder / "tensorboard"),
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
     if "imitation" in preset:
-        imitate(model, run.training_scenario, seed=training_seed(run.seed), **preset["imitation"])
+        imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
     return model
 
 

@@ -6,8 +6,10 @@ value fails with a message that names field, value and what would be right, and 
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -72,6 +74,33 @@ class Scenario:
         plain = (int, float, str, bool, type(None))
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return {name: value if isinstance(value, plain) else repr(value) for name, value in values.items()}
+
+
+def parse_fields(texts: Iterable[str]) -> dict[str, Any]:
+    """Fields written as ``name=value``, as on a command line; values are Python literals or else plain words.
+
+    Raises:
+        ValueError: no equals sign, or a name given twice.
+    """
+    fields: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (equals and name):
+            raise ValueError(f"{text!r}: must be a scenario field and its value, NAME=VALUE")
+        if name in fields:
+            raise ValueError(f"{text!r}: {name} is given twice")
+        fields[name] = _literal(value)
+    return fields
+
+
+def _literal(text: str) -> Any:
+    words = {"true": True, "false": False, "none": None}
+    if text.lower() in words:
+        return words[text.lower()]
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
 
 
 def _check(owner: str, name: str, value: Any, rule: Any) -> None:

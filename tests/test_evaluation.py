@@ -20,6 +20,7 @@ from agents.report import as_csv, as_markdown, write_evaluation
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
+from passive_env.scenario import parse_fields
 
 SHORT = TwoStation(steps=6)
 PICTURES = ("range_error_over_time.png", "geometry.png", "maneuvers.png")
@@ -441,6 +442,34 @@ def test_evaluate_command_flies_held_out_traffic(tmp_path):
     assert summary["policies"]["rule"]["final_range_error_m"]["mean"] == pytest.approx(direct.final.mean(), rel=1e-12)
 
 
+def test_evaluate_command_changes_scenario_fields(tmp_path):
+    changes = ("--fields", "steps=7", "tracker=fused_ekf", "reward_maneuver=0.5", "actions=discrete")
+    assert evaluate("--policies", "rule", *changes, "--episodes", 2, "--out", tmp_path) == 0
+    summary = json.loads((tmp_path / "evaluation.json").read_text())
+    fields = {"steps": 7, "tracker": "fused_ekf", "reward_maneuver": 0.5, "actions": "discrete"}
+    assert summary["fields"] == fields
+    scenario = TwoStation(**fields)
+    direct = fly(scenario, make_policy("rule", scenario), 2, summary["seed"])
+    assert summary["policies"]["rule"]["final_range_error_m"]["mean"] == pytest.approx(direct.final.mean(), rel=1e-12)
+
+
+def test_fields_are_literals_or_words():
+    texts = [
+        "steps=7",
+        "bearing_std_deg=1e-1",
+        "maneuvering=true",
+        "second_order=False",
+        "flights=none",
+        "course=flights",
+    ]
+    expected = {
+        "steps": 7, "bearing_std_deg": 0.1, "maneuvering": True, "second_order": False, "flights": None,
+        "course": "flights",
+    }  # fmt: skip
+    assert parse_fields(texts) == expected
+    assert parse_fields(["flights=data/a=b.csv"]) == {"flights": "data/a=b.csv"}
+
+
 def flights_file(path: Path, rows: int = 130) -> Path:
     """One aircraft flying east at 150 m/s over the equator, heard every 2 s."""
     lines = ["timestamp,icao24,callsign,latitude,longitude,altitude,groundspeed,track,vertical_rate"]
@@ -486,6 +515,10 @@ def assert_refused(capsys, out: Path, status: int, *words):
         (["--trackers", "rp_ekf", "kalman"], ["'kalman'", "'rp_ekf'", "'fused_ekf'", "'rp_ekf_adaptive'"]),
         (["--flights", "no/such/file.csv"], ["no/such/file.csv"]),
         (["--flights", "."], ["directory"]),
+        (["--fields", "steps"], ["'steps'", "NAME=VALUE"]),
+        (["--fields", "steps=9", "steps=8"], ["'steps=8'", "given twice"]),
+        (["--fields", "stepps=9"], ["'stepps'", "did you mean 'steps'"]),
+        (["--fields", "bearing_std_deg=wide"], ["bearing_std_deg = 'wide'", "must be a number"]),
         (["--episodes", "0"], ["--episodes 0"]),
         (["--episodes", "-3"], ["--episodes -3"]),
         (["--seed", "-1"], ["--seed -1"]),
@@ -536,6 +569,10 @@ def test_flights_that_are_too_short_are_refused_with_their_length(tmp_path, caps
         (["--seed", "-1"], ["--seed -1"]),
         (["--device", "abacus"], ["--device abacus", "cpu"]),
         (["--flights", "no/such/file.csv"], ["no/such/file.csv"]),
+        (["--fields", "steps"], ["'steps'", "NAME=VALUE"]),
+        (["--fields", "steps=9", "steps=8"], ["'steps=8'", "given twice"]),
+        (["--fields", "stepps=9"], ["'stepps'", "did you mean 'steps'"]),
+        (["--fields", "bearing_std_deg=wide"], ["bearing_std_deg = 'wide'", "must be a number"]),
         (["--resume"], ["config.json"]),
     ],
     ids=lambda value: " ".join(value),

@@ -135,11 +135,13 @@ def test_the_train_command_trains_and_compares(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(training, "load_preset", lambda *_: tiny_run(tmp_path).preset)
     out = tmp_path / "run"
     arguments = ["--envs", "8", "--timesteps", "360", "--episodes", "3", "--out", str(out)]
+    arguments += ["--fields", "bearing_std_deg=0.7"]
     assert main(["train", *arguments]) == 0
     printed = capsys.readouterr().out
     for folder in (out, out / "flights"):
         summary = json.loads((folder / "evaluation.json").read_text())
         assert {"paper", "rule", "learned"} <= set(summary["policies"])
+        assert summary["fields"] == {"bearing_std_deg": 0.7}
         assert {path.name for path in folder.glob("evaluation.*")} == {f"evaluation.{s}" for s in ("json", "csv", "md")}
     assert "| learned |" in printed
     assert str(out) in printed

@@ -21,6 +21,7 @@ from passive_env.observations import TrackObservation
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.sensors import DirectionFinders
 from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
+from passive_env.truth import TruthObservation
 from trackers import TRACKERS
 from trackers.association import AssociationModel
 from trackers.compiled import kernel
@@ -132,6 +133,10 @@ class BearingScenario(TrackingScenario):
     def make_observation(self) -> TrackObservation:
         """Observation model."""
         return TrackObservation(self.stations, self.targets, self.stations, self.steps, self.discs)
+
+    def make_truth_observation(self) -> TruthObservation:
+        """What a critic may know in training."""
+        return TruthObservation(self.targets)
 
     def make_sensors(self, tracker: Tracker) -> DirectionFinders:
         """The stations' direction finders; what they see does not depend on the tracker."""

@@ -1,0 +1,75 @@
+"""What a critic may know while a policy learns: the truth behind the belief. No policy ever sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from passive_env.core import World
+from passive_env.observations import LIMIT, Field
+
+
+class TruthObservation:
+    """Each target's true range, motion and track error, as numbers of an observation's size.
+
+    Fields in order, of every target N, along and left of the line of sight from the reference:
+
+        truthN.log_range                     m     log(true range / 50 km)
+        truthN.log_range_ratio               1     2 log(range of the track / true range)
+        truthN.radial_velocity               m/s   true velocity relative to earth / 300 m/s
+        truthN.cross_velocity                m/s   the same, left positive
+        truthN.radial_velocity_error         m/s   track − truth, / 100 m/s
+        truthN.cross_velocity_error          m/s   the same, left positive
+        truthN.log_range_bound               m     log(Cramér–Rao bound / 1 km) / 2
+
+    Values are clipped to ±5 and finite whatever the tracker does.
+
+    Args:
+        targets: number of targets.
+        reference: index of the platform from which ranges are measured.
+    """
+
+    def __init__(self, targets: int, reference: int = -1):
+        self.fields = tuple(field for m in range(targets) for field in _fields(f"truth{m}"))
+        self._reference = reference
+        order = np.arange(len(self.fields)).reshape(targets, -1)[::-1]
+        self._mirror_of = order.ravel()
+        self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
+
+    def __call__(self, world: World) -> np.ndarray:
+        """Numbers [e, d] float32 in ±`LIMIT`."""
+        own = world.platforms[:, self._reference, None]
+        d = own.shape[-1] // 2
+        truth, mean = world.truth, world.estimate.mean
+        with np.errstate(all="ignore"):  # a diverged tracker's numbers are cut below
+            sight = truth[..., :d] - own[..., :d]
+            true_range = np.maximum(np.linalg.norm(sight, axis=-1), 1.0)
+            track_range = np.maximum(np.linalg.norm(mean[..., :d] - own[..., :d], axis=-1), 1.0)
+            sight = sight / true_range[..., None]
+            error = mean[..., d:] - truth[..., d:]
+            parts = (
+                np.log(true_range / 5e4), 2.0 * np.log(track_range / true_range),
+                *(part / 300.0 for part in _along_and_left(truth[..., d:], sight)),
+                *(part / 100.0 for part in _along_and_left(error, sight)),
+                0.5 * np.log(np.maximum(world.metrics.range_crlb_m, 1.0) / 1e3),
+            )  # fmt: skip
+            numbers = np.nan_to_num(np.stack(parts, axis=-1), posinf=LIMIT, neginf=-LIMIT)
+        return np.clip(numbers, -LIMIT, LIMIT).reshape(len(own), -1).astype(np.float32)
+
+    def mirrored(self, numbers: np.ndarray) -> np.ndarray:
+        """Numbers [..., d] of the mirrored worlds: left is right, and the targets stand in reverse order."""
+        return self._mirror_sign * numbers[..., self._mirror_of]
+
+
+def _along_and_left(velocity: np.ndarray, sight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of velocities [..., d] along unit vectors [..., d] and level to their left."""
+    left = sight[..., 0] * velocity[..., 1] - sight[..., 1] * velocity[..., 0]
+    return np.sum(velocity * sight, axis=-1), left / np.maximum(np.hypot(sight[..., 0], sight[..., 1]), 1e-9)
+
+
+def _fields(name: str):
+    yield Field(f"{name}.log_range", "m", "log(true range / 50 km)")
+    yield Field(f"{name}.log_range_ratio", "1", "2 log(range of the track / true range)")
+    for error, scale in (("", "/ 300 m/s"), ("_error", "track − truth, / 100 m/s")):
+        yield Field(f"{name}.radial_velocity{error}", "m/s", scale)
+        yield Field(f"{name}.cross_velocity{error}", "m/s", f"{scale}, left positive", odd=True)
+    yield Field(f"{name}.log_range_bound", "m", "log(Cramér–Rao bound / 1 km) / 2")
