@@ -146,10 +146,14 @@ class Record(NamedTuple):
         outside = np.logical_not(self.gated.any(-1))
         return np.any(outside[:, 2:] & outside[:, 1:-1] & outside[:, :-2], axis=-1)
 
-    def rmse(self, kept: bool = True) -> np.ndarray:
-        """Root mean square range error [k] m over the kept runs, or over all."""
-        error = self.range_error[~self.lost] if kept else self.range_error
-        return np.sqrt(np.square(error).mean(0)) if len(error) else np.full(STEPS, np.nan)
+    @property
+    def kept(self) -> Any:
+        """[r] bool, the runs that are not lost; all of them if none is left."""
+        return np.logical_not(self.lost) if not self.lost.all() else np.ones(len(self.lost), dtype=bool)
+
+    def rmse(self) -> np.ndarray:
+        """Root mean square range error [k] m over the kept runs."""
+        return np.sqrt(np.square(self.range_error[self.kept]).mean(0))
 
 
 def follow(trial: Trial, noise: Noise, rng: np.random.Generator) -> Record:
