@@ -696,7 +696,7 @@ def test_weights_in_the_picture_are_the_trackers():
         ({"detection_probability": 0.0}, "detection_probability"),
         ({"tracker": "rp_ekf"}, "tracker = 'rp_ekf': must be one of 'angle_ekf'"),
         ({"tracker": "angle_pdaf_sequential", "outlier_test": "conditioned"}, "outlier_test"),
-        ({"outlier_test": "chi2"}, "must be one of 'none', 'conditioned', 'coplanarity'"),
+        ({"outlier_test": "chi2"}, "must be one of 'off', 'conditioned', 'coplanarity'"),
         ({"course": "paper_bestfit"}, "must be one of 'random', 'flights', 'paper'"),
         ({"formation": "line"}, "must be one of 'random', 'abreast', 'trail'"),
         ({"flights": "x.csv"}, "add course='flights'"),
