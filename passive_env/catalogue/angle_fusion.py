@@ -90,9 +90,7 @@ class AngleFusion(TrackingScenario):
     process_noise_m_s2: float = number(30.0, 0.0, 500.0, "the filter's √q, acceleration per axis")
     gate: float = number(16.0, 1.0, 100.0, "γ₂, squared size of the gates of single sensors")
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
-    outlier_test: str = choice(
-        "off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside"
-    )
+    outlier_test: str = choice("off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside")
     reinitiate: bool = flag(False, "whether a track that the tracker finds lost starts anew")
     detection_probability: float = number(1.0, 0.01, 1.0, "of the target by an available sensor, after the first scan")
     availability0_min: float = number(1.0, 0.0, 1.0, "share of scans that platform 0's sensor delivers: least drawn")
