@@ -407,10 +407,11 @@ def test_the_bound_is_the_information_recursion_with_the_episodes_availability()
 
 def test_figures_of_merit_and_reward_by_hand():
     weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(
-        ("log_range_error", "relative_range_error", "log_position_error", "relative_position_error",
-         "log_range_bound", "log_position_bound", "information_gain", "maneuver", "standoff", "lost_track")
+        ("log_range_error", "relative_range_error", "log_position_error", "relative_position_error", "position_error",
+         "final_position_error", "log_range_bound", "log_position_bound", "information_gain", "maneuver", "standoff",
+         "lost_track")
     )}  # fmt: skip
-    env = PassiveEnv("AngleFusion", lost_error_m=300.0, lost_nees=1.0, standoff_m=11e3, **weights)
+    env = PassiveEnv("AngleFusion", steps=4, lost_error_m=300.0, lost_nees=1.0, standoff_m=11e3, **weights)
     _, info = env.reset(seed=4)
     world = env.world._replace(platforms=env.world.platforms.copy())
     world.platforms[0, 1, :3] = world.truth[0, 0, :3] + [6e3, 2e3, 1e3]  # inside the stand-off sphere
@@ -418,7 +419,7 @@ def test_figures_of_merit_and_reward_by_hand():
     for _ in range(4):
         previous = info["range_crlb_m"]
         action = np.array([0.5, -1.0, 0.2, 0.0])
-        _, reward, _, _, info = env.step(action)
+        _, reward, _, truncated, info = env.step(action)
         world = env.world
         (mean,), (cov,), (truth,) = world.estimate.mean[0], world.estimate.cov[0], world.truth[0]
         reference = world.platforms[0, 0, :3]
@@ -441,6 +442,8 @@ def test_figures_of_merit_and_reward_by_hand():
             "relative_range_error": -range_error / true_range,
             "log_position_error": -math.log(max(position_error, 30.0) / 1e3),
             "relative_position_error": -position_error / true_range,
+            "position_error": -position_error / 1e3,
+            "final_position_error": -position_error / 1e3 * truncated,
             "log_range_bound": -math.log(info["range_crlb_m"][0] / 1e3),
             "log_position_bound": -math.log(info["position_crlb_m"][0] / 1e3),
             "information_gain": math.log(previous[0] / info["range_crlb_m"][0]),

@@ -119,6 +119,8 @@ class AngleFusion(TrackingScenario):
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_position_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_position_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_position_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_standoff: float = number(5.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
 
