@@ -37,6 +37,7 @@ from agents.reproduction.angle_fusion.monte_carlo import (
 )
 from agents.reproduction.report import VERDICTS
 from agents.reproduction.resampling import wilson_interval
+from passive_env.catalogue.angle_fusion import AngleFusion
 from trackers import AngleScan
 from trackers.direction import direction, gate
 
@@ -67,6 +68,12 @@ def test_geometry_is_the_specifications():
     assert baseline[-1] == pytest.approx(10.4e3, rel=0.01)
     np.testing.assert_allclose(np.linalg.norm(np.diff(PATHS.platforms, axis=0), axis=-1), 300.0)
     np.testing.assert_allclose(np.diff(PATHS.target[:, :3], axis=0) / 2.0, PATHS.target[1:, 3:])
+
+
+def test_environment_flies_the_same_courses():
+    tape = AngleFusion(course="paper").draw_tape([np.random.default_rng(0)])
+    np.testing.assert_allclose(tape.targets[0, :, 0], PATHS.target, atol=1e-9)
+    np.testing.assert_allclose(tape.platforms[0, :, :3], PATHS.platforms[0], atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------------------ without chance

@@ -34,7 +34,7 @@ def return_weights(predicted: Gaussian, scan: AngleScan, settings: AnglePdaf) ->
     nu = wrap(np.asarray(scan.angles) - direction(predicted.mean, scan.platforms)[:, None])
     H = direction_jacobian(predicted.mean, scan.platforms).reshape(4, 3)
     S = H @ predicted.cov[:3, :3] @ H.T + np.diag(np.square(scan.angle_std).ravel())
-    p_d = np.broadcast_to(np.asarray(settings.detection_probability, dtype=float), (2,))
+    p_d = settings.detection(scan)
     miss = np.log(np.maximum(1.0 + p_d * math.expm1(-0.5 * settings.gate), SURE))
     hits, slots = [], []
     for s in range(2):
