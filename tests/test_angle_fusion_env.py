@@ -24,6 +24,7 @@ from trackers.angle_pdaf import MAX_RETURNS
 from trackers.angles import wrap
 from trackers.bounds_3d import bound_start, position_std_3d, posterior_bound_information_3d, range_std_3d
 from trackers.direction import direction, gate
+from trackers.gaussian import Gaussian
 
 IDS = ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow")
 ROUGH = {"clutter_mean": 4.0, "availability0_min": 0.5, "availability1_min": 0.5, "detection_probability": 0.9}
@@ -348,6 +349,47 @@ def test_a_users_tracker_is_taken_as_it_is():
     _, worlds = flown(3, 3, [0.0] * 4, tracker=own)
     _, named = flown(3, 3, [0.0] * 4, tracker="angle_ekf", process_noise_m_s2=5.0)
     assert np.array_equal(worlds[-1].estimate.mean, named[-1].estimate.mean)
+
+
+class Later(AnglePdaf):
+    """A tracker whose estimates are sound for three calls only."""
+
+    def __init__(self, spoil):
+        super().__init__()
+        object.__setattr__(self, "spoil", spoil)
+        object.__setattr__(self, "asked", 0)
+
+    def estimate(self, state):
+        object.__setattr__(self, "asked", self.asked + 1)
+        return super().estimate(state) if self.asked <= 3 else self.spoil(*super().estimate(state))
+
+
+SPOILT = {
+    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
+    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
+    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
+    "one velocity": lambda mean, cov: Gaussian(mean + np.array([0.0, 0.0, 0.0, 0.0, np.nan, 0.0]), cov),
+    "negative": lambda mean, cov: Gaussian(mean, -cov),
+    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
+}
+
+
+@pytest.mark.parametrize("fields", [{"clutter_mean": 5.0}, {"clutter_density_per_deg2": 0.05}], ids=str)
+@pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
+def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, fields):
+    """Observation, reward, scan and all of info stay finite, with every reward term in use."""
+    weights = {f.name: 1.0 for f in dataclasses.fields(AngleFusion) if f.name.startswith("reward_")}
+    tracker = Later(spoil)
+    env = PassiveVectorEnv("AngleFusion", num_envs=3, threads=1, tracker=tracker, steps=8, **fields, **weights)
+    env.reset(seed=0)
+    with np.errstate(all="ignore"):
+        for _ in range(8):
+            observation, reward, _, _, info = env.step(np.full((3, 4), 0.3))
+            assert observation in env.observation_space
+            assert np.isfinite(reward).all()
+            assert all(np.isfinite(part).all() for name, part in info.items() if name != "reward_terms")
+            assert all(np.isfinite(part).all() for part in env.world.reports.scan)
+    assert tracker.asked == 17
 
 
 def test_platforms_and_target_in_one_line_start_in_the_middle_of_the_admitted_ranges():
