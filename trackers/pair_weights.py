@@ -1,9 +1,9 @@
 """Association weights of one scan of two sensors, as the formulas stand: for pictures, and to check the compiled PDAF.
 
     w_00 = q₁ q₂                         w_i0 = (P_D/λ₁) N(ν₁ᵢ; 0, S₁₁) q₂
-    w_0j = (P_D/λ₂) N(ν₂ⱼ; 0, S₂₂) q₁    w_ij = (P_D²/(λ₁ λ₂)) N(ν_ij; 0, S)
+    w_0j = (P_D/λ₂) N(ν₂ⱼ; 0, S₂₂) q₁    w_ij = (P_D P_D/(λ₁ λ₂)) N(ν_ij; 0, S)
 
-with q = 1 − P_D P_G and S the innovations' joint covariance.
+with q = 1 − P_D P_G, every P_D its sensor's own, and S the innovations' joint covariance.
 Source: Wang, Wang and Yang (2004), section 4, with per-sensor Poisson clutter in place of eqs 21–24.
 """
 
