@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.prediction import Prediction, Situation, line_of_sight, situation, towards
+from agents.prediction import Prediction, Situation, situation
+from agents.steering import line_of_sight, towards
 from passive_env.belief import Belief
 
 TURN_LEVELS = 9

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.greedy import Greedy
-from agents.prediction import Prediction, Situation, situation, towards
+from agents.prediction import Prediction, Situation, situation
+from agents.steering import towards
 from passive_env.belief import Belief
 from passive_env.core import World
 from trackers.angles import wrap

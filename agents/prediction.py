@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env.belief import Belief
-from trackers.angles import wrap, wrap_scalar
+from trackers.angles import wrap_scalar
 from trackers.compiled import Blocks, helper, kernel
 from trackers.linalg import cholesky_4
 from trackers.measurement import NOISE_FLOOR, slope
@@ -328,15 +328,3 @@ class Prediction:
         """Numbers the kernel reads, in its order."""
         T, limit, q, var, *rest = self._settings
         return np.array([T, limit, q, var, stations - 1 if self._reference_only else 0, *rest])
-
-
-def towards(headings: np.ndarray, platforms: np.ndarray, turn_per_step: float) -> np.ndarray:
-    """Commands [..., s] in [−1, 1] that turn platforms [..., s, 4] towards headings [..., s] rad, then hold them."""
-    heading = np.arctan2(platforms[..., 3], platforms[..., 2])
-    return np.clip(wrap(headings - heading) / max(turn_per_step, 1e-12), -1.0, 1.0)
-
-
-def line_of_sight(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Directions [..., s] rad from platforms [..., s, 4] to the middle of tracks [..., m, 4]."""
-    to_middle = mean[..., None, :, :2].mean(-2) - platforms[..., :2]
-    return np.arctan2(to_middle[..., 1], to_middle[..., 0])

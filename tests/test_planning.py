@@ -13,7 +13,8 @@ from agents.greedy import Greedy
 from agents.imitation import imitate
 from agents.planner import Oracle, Planner
 from agents.policy import make_policy, sees_world
-from agents.prediction import CRITERIA, GUARD_PER_S, STANDOFF_PER_S, WORST, Prediction, situation, towards
+from agents.prediction import CRITERIA, GUARD_PER_S, STANDOFF_PER_S, WORST, Prediction, situation
+from agents.steering import towards
 from agents.tuning import as_markdown, tune_zigzag
 from passive_env.belief import Belief
 from passive_env.catalogue.two_station import TwoStation
