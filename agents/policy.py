@@ -67,11 +67,11 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.planner import PLANNERS
     from agents.rules import IN_SPACE, ONE_PLATFORM, TURN_APART
 
-    searching = {**GREEDY, **PLANNERS}  # they predict bearings in the plane
+    searching = {**GREEDY, **PLANNERS}
     families = {
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
-        AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE},
+        AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **searching},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

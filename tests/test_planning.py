@@ -250,7 +250,7 @@ def test_greedy_with_two_platforms_is_no_worse_than_any_single_change():
     policy = Greedy(scenario(), 8, headings=9)
     start = situation(belief, 5.0, 8)
     best = policy.best(start, belief.mean)
-    candidates = policy.candidates(belief.platforms, belief.mean)
+    candidates = policy.candidates(start, belief.mean)
     plans = np.repeat(best[:, None, None], 10, axis=1)
     plans[..., 0, 1] = candidates[:, 1]
     costs = policy.prediction.cost(start, plans, np.full((5, 10, 1), 8))
