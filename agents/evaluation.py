@@ -17,9 +17,8 @@ from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
-from agents.prediction import line_of_sight
+from agents.steering import course, line_of_sight
 from passive_env.core import World
-from passive_env.kinematics import plan_view
 from passive_env.vector_env import PassiveVectorEnv
 from trackers.angles import wrap
 
@@ -180,11 +179,10 @@ class _Instant(NamedTuple):
 
 def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
     """Of the platforms' and estimates' positions the first episode's only: they are for a picture."""
-    platforms, turns = plan_view(world.platforms), world.last_action[:, : world.platforms.shape[1]]
-    course = np.arctan2(platforms[..., 3], platforms[..., 2])
+    turns = world.last_action[:, : world.platforms.shape[1]]
     return _Instant(
         info["range_error_m"], info["range_crlb_m"], world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
-        wrap(course - line_of_sight(world.platforms, world.truth)).astype(np.float32),
+        wrap(course(world.platforms) - line_of_sight(world.platforms, world.truth)).astype(np.float32),
         np.asarray(turns, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
     )  # fmt: skip
 

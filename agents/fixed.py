@@ -9,24 +9,30 @@ from typing import Any
 import numpy as np
 
 from agents.policy import Policy
+from agents.steering import level_flight
 from passive_env.belief import Belief
+from passive_env.catalogue.angle_fusion import PAPER_TURN_DEG, PAPER_TURN_S
 from passive_env.catalogue.two_station import NATURAL
 
 
 class Schedule:
-    """Turn during fixed windows of time at the paper's 5°/s, as far as the scenario's limit allows.
+    """Turn during fixed windows of time, as fast as the scenario's limit allows.
 
     Args:
         scenario: supplies step length, number of steps and turn rate limit.
         windows_s: per platform, time from and to [s].
-        senses: per platform, +1 counter-clockwise, −1 clockwise.
+        senses: per platform, +1 counter-clockwise, −1 clockwise, 0 for straight on.
+        rate_deg_s: of the turns; the default is the two-station paper's.
     """
 
-    def __init__(self, scenario: Any, windows_s: Sequence[tuple[float, float]], senses: Sequence[int]):
+    def __init__(
+        self, scenario: Any, windows_s: Sequence[tuple[float, float]], senses: Sequence[int],
+        rate_deg_s: float = NATURAL.turn_rate_deg_s,
+    ):  # fmt: skip
         self._scenario = scenario
         self._windows = np.array(windows_s, dtype=float)
-        rate = NATURAL.turn_rate_deg_s / max(scenario.max_turn_rate_deg_s, 1e-12)
-        self._command = np.array(senses, dtype=float) * min(rate, 1.0)
+        share = rate_deg_s / max(scenario.max_turn_rate_deg_s, 1e-12)
+        self._command = np.array(senses, dtype=float) * min(share, 1.0)
 
     def reset(self, belief: Belief) -> None:
         """Nothing to remember."""
@@ -35,7 +41,7 @@ class Schedule:
         """The share of the coming step that lies in a platform's window, times its command."""
         begin = ((self._scenario.steps - belief.steps_left) * self._scenario.step_s)[:, None]
         inside = np.minimum(begin + self._scenario.step_s, self._windows[:, 1]) - np.maximum(begin, self._windows[:, 0])
-        return self._command * np.clip(inside / self._scenario.step_s, 0.0, 1.0)
+        return level_flight(self._command * np.clip(inside / self._scenario.step_s, 0.0, 1.0), belief)
 
 
 class Straight:
@@ -82,8 +88,18 @@ def _paper_opposed(scenario: Any, seed: int) -> Policy:
     return Schedule(scenario, NATURAL.station_turn_s, (1, -1))
 
 
+def _paper_in_space(scenario: Any, seed: int) -> Policy:
+    """The first platform turns to its left, which is north in the paper's layout, as fast as it can."""
+    limit = scenario.max_turn_rate_deg_s
+    until = PAPER_TURN_S + PAPER_TURN_DEG / max(limit, 1e-12)
+    return Schedule(scenario, [(PAPER_TURN_S, until), (0.0, 0.0)], (1, 0), limit)
+
+
 PAPER = {"paper": _paper, "paper_opposed": _paper_opposed}
 """Makers (scenario, seed) of the two-station paper's schedules."""
+
+PAPER_IN_SPACE = {"paper": _paper_in_space}
+"""Maker (scenario, seed) of the paper's maneuver for two platforms in space."""
 
 STEADY = {
     "straight": lambda scenario, seed: Straight(),

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.greedy import Greedy
-from agents.prediction import Prediction, Situation, situation, towards
+from agents.greedy import Greedy, predict
+from agents.prediction import Situation
+from agents.steering import course, level_flight, towards
 from passive_env.belief import Belief
 from passive_env.core import World
 from trackers.angles import wrap
@@ -37,7 +38,7 @@ class Planner:
 
     Args:
         scenario: where it acts.
-        criterion, guard_m: as in `agents.prediction.Prediction`.
+        criterion, guard_m: as in `agents.prediction.Prediction`; None: the usual one of the scenario's family.
         horizon: steps to plan ahead at most; None for the whole rest of the episode.
         segments: headings in a plan, held equally long.
         samples: plans tried in each round, an even number.
@@ -53,7 +54,7 @@ class Planner:
     needs_world = False
 
     def __init__(
-        self, scenario: Any, criterion: str = "mean_log_std", guard_m: float = 8e3, horizon: int | None = None,
+        self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, horizon: int | None = None,
         segments: int = 4, samples: int = 32, iterations: int = 3, elites: int = 6, replan_steps: int = 3,
         spread_deg: float = 80.0, seed: int = 0,
     ):  # fmt: skip
@@ -69,7 +70,7 @@ class Planner:
             raise ValueError(f"samples = {samples}: must be even and at least elites = {elites}")
         if not 0.0 < spread_deg <= 360.0:
             raise ValueError(f"spread_deg = {spread_deg!r}: must lie in (0, 360]")
-        self.prediction = Prediction(scenario, criterion, guard_m)
+        self.prediction = predict(scenario, criterion, guard_m)
         self.horizon = numbers["horizon"][0]
         self._greedy = Greedy(scenario, criterion=criterion, guard_m=guard_m)
         self._segments, self._elites, self._replan_steps = segments, elites, replan_steps
@@ -98,7 +99,8 @@ class Planner:
         if len(due):
             self._replan(belief, due, begun)
         self._steps_left = np.array(belief.steps_left)
-        return towards(self._heading(), belief.platforms, self.prediction.turn_per_step)
+        turns = towards(self._heading(), belief.platforms, self.prediction.turn_per_step)
+        return level_flight(turns, belief)
 
     def plan(self, start: Situation, known: Plan) -> tuple[Plan, np.ndarray]:
         """The best plan found and its cost [e].
@@ -148,11 +150,11 @@ class Planner:
         return Plan(controls, ends)
 
     def _situation(self, belief: Belief) -> Situation:
-        return situation(belief, self.prediction.step_s, self.horizon)
+        return self.prediction.situation(belief, self.horizon)
 
     def _replan(self, belief: Belief, due: np.ndarray, begun: np.ndarray) -> None:
-        heading = np.arctan2(belief.platforms[..., 3], belief.platforms[..., 2])
-        controls = np.where(begun[:, None, None], heading[:, None], self._plan.controls)
+        held = course(belief.platforms)[:, None]
+        controls = np.where(begun[:, None, None], held, self._plan.controls)
         start, mean = self._situation(belief).rows(due), belief.mean[due]
         known = self.known_plans(start, mean, Plan(controls[due], self._plan.ends[due]))
         best, _ = self.plan(start, known)
@@ -188,12 +190,7 @@ class Oracle(Planner):
     def _situation(self, belief: Belief) -> Situation:
         if self._world is None:
             raise ValueError("the oracle must see the world before it acts: call see(world)")
-        world = self._world
-        start = super()._situation(belief)
-        last = world.tape.targets.shape[1] - 1
-        at = np.minimum(world.step[:, None] + np.arange(1, start.paths.shape[1] + 1), last)
-        paths = world.tape.targets[np.arange(len(at))[:, None], at, :, :2]
-        return start._replace(paths=paths, cov=world.bound)
+        return self.prediction.revealed(super()._situation(belief), self._world)
 
 
 def _even_legs(steps: np.ndarray, segments: int) -> np.ndarray:

@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from passive_env.belief import Belief
+from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
@@ -61,15 +62,16 @@ def sees_world(policy: Any) -> bool:
 
 def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
-    from agents.fixed import PAPER, STEADY
+    from agents.fixed import PAPER, PAPER_IN_SPACE, STEADY
     from agents.greedy import GREEDY
     from agents.planner import PLANNERS
-    from agents.rules import ONE_PLATFORM, TURN_APART
+    from agents.rules import IN_SPACE, ONE_PLATFORM, TURN_APART
 
-    searching = {**GREEDY, **PLANNERS}  # they predict bearings in the plane
+    searching = {**GREEDY, **PLANNERS}
     families = {
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
+        AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **searching},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env.belief import Belief
-from trackers.angles import wrap, wrap_scalar
+from passive_env.core import World
+from passive_env.kinematics import fly_legs
 from trackers.compiled import Blocks, helper, kernel
 from trackers.linalg import cholesky_4
 from trackers.measurement import NOISE_FLOOR, slope
@@ -39,6 +40,9 @@ grows from 0 at the edge to 1 at the middle. The guard bends a plan, the others 
 LARGE_PRODUCT = 1e200
 """Variances [m²] multiplied beyond this are replaced by their logarithm: another factor must not overflow."""
 
+LARGEST = 1e24
+"""Variances [m²] are cut here: a diverged track's must not overflow a product of several."""
+
 WORST = 1e6
 """Cost of a plan whose prediction is no finite number."""
 
@@ -47,11 +51,12 @@ class Situation(NamedTuple):
     """Where a plan begins; e environments, s platforms, m tracks.
 
     Attributes:
-        platforms: [e, s, 4] x, y [m], vx, vy [m/s].
-        paths: [e, k, m, 2] target positions [m] after 1 … k steps.
-        cov: [e, m, 4, 4] covariances now.
+        platforms: [e, s, n] as in `passive_env.belief.Belief`.
+        paths: [e, k, m, n / 2] target positions [m] after 1 … k steps.
+        cov: [e, m, n, n] covariances now.
         discs: [e, d, 3] no-go discs: x, y, radius [m].
         steps: [e] steps to look ahead, at most k.
+        share: [e, s] share of scans in which a platform is expected to see the target; in the plane the scenario says.
     """
 
     platforms: Any
@@ -59,10 +64,11 @@ class Situation(NamedTuple):
     cov: Any
     discs: Any
     steps: Any
+    share: Any = None
 
     def rows(self, index: Any) -> Situation:
         """The situations of some environments."""
-        return Situation(*(part[index] for part in self))
+        return Situation(*(None if part is None else part[index] for part in self))
 
 
 def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
@@ -75,46 +81,9 @@ def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
     """
     steps = np.clip(belief.steps_left, 1, horizon)
     times = step_s * np.arange(1, int(steps.max(initial=1)) + 1)[:, None, None]
-    paths = belief.mean[:, None, :, :2] + times * belief.mean[:, None, :, 2:]
+    place = belief.mean.shape[-1] // 2
+    paths = belief.mean[:, None, :, :place] + times * belief.mean[:, None, :, place:]
     return Situation(belief.platforms, paths, belief.cov, belief.discs, steps)
-
-
-@helper
-def _arc(turned, T):
-    """Cosine and sine of a turn by `turned` rad in T seconds, and the arc's reach along and across the start course
-    [s], to be multiplied by the speed (`passive_env.kinematics.arc`)."""
-    c, s = math.cos(turned), math.sin(turned)
-    if abs(turned) > 1e-9:
-        return c, s, T * s / turned, T * (1.0 - c) / turned
-    return c, s, T, 0.0
-
-
-@helper
-def _fly(platform, controls, ends, steps, T, limit, turns, flight):
-    """Places [k, 2] of a platform [4] after each step of the plan with controls and ends [g].
-
-    Nearly all steps are straight or turn at the limit: those arcs are computed once.
-    """
-    x, y, vx, vy = platform[0], platform[1], platform[2], platform[3]
-    heading, leg = math.atan2(vy, vx), 0
-    straight, hardest = _arc(0.0, T), _arc(limit, T)
-    for k in range(steps):
-        while leg < ends.shape[0] - 1 and k >= ends[leg]:
-            leg += 1
-        turned = controls[leg] * limit if turns else wrap_scalar(controls[leg] - heading)
-        turned = min(max(turned, -limit), limit)
-        heading += turned
-        if abs(turned) <= 1e-9:
-            c, s, along, across = straight
-        elif abs(turned) < limit:
-            c, s, along, across = _arc(turned, T)
-        else:
-            c, s, along, across = hardest
-            if turned < 0.0:
-                s, across = -s, -across
-        x, y = x + along * vx - across * vy, y + along * vy + across * vx
-        vx, vy = c * vx - s * vy, s * vx + c * vy
-        flight[k, 0], flight[k, 1] = x, y
 
 
 @helper
@@ -245,7 +214,7 @@ def _two_figures(cov, path, flights, steps, T, q, var, first, criterion):
 def _flight_cost(platforms, paths, discs, steps, controls, ends, model, flight):
     """Fly a plan with controls [g, s] and ends [g], filling flight [k, s, 2]; returns its penalties."""
     for s in range(platforms.shape[0]):
-        _fly(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
+        fly_legs(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
     penalty = 0.0
     for k in range(steps):
         penalty += _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
@@ -275,35 +244,51 @@ def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flig
 
 
 class Prediction:
-    """Costs of plans in a scenario.
+    """Costs of plans in a scenario with bearings in the plane; other families derive theirs.
 
     Args:
         scenario: supplies step, turn limit, noises, whose bearings count and the stand-off distance.
-        criterion: one of `CRITERIA`.
-        guard_m: predicted ranges below this are penalised: bearings-only filters break down in close passes.
+        criterion: one of `criteria`; None is the family's usual one.
+        guard_m: predicted ranges below this are penalised, for bearings-only filters break down in close passes; None
+            is the family's usual one.
         controls: one of `CONTROLS`.
     Raises:
         ValueError: unknown criterion or controls, negative or infinite guard.
     """
 
+    criteria = CRITERIA
+    usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_log_std", 8e3, 12, 24
+    about_course = False
+    """Whether headings are tried about the present course, as far as can be reached, or all about the line of sight."""
+
     def __init__(
-        self, scenario: Any, criterion: str = "mean_log_std", guard_m: float = 8e3, controls: str = "headings"
+        self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, controls: str = "headings"
     ):
-        if criterion not in CRITERIA:
-            raise ValueError(f"criterion {criterion!r}: must be one of {', '.join(map(repr, CRITERIA))}")
+        criterion = self.usual_criterion if criterion is None else criterion
+        guard_m = self.usual_guard_m if guard_m is None else guard_m
+        if criterion not in self.criteria:
+            raise ValueError(f"criterion {criterion!r}: must be one of {', '.join(map(repr, self.criteria))}")
         if controls not in CONTROLS:
             raise ValueError(f"controls {controls!r}: must be one of {', '.join(map(repr, CONTROLS))}")
         if not 0.0 <= guard_m < math.inf:
             raise ValueError(f"guard_m = {guard_m!r}: must be a distance of at least 0 m")
         self.step_s = float(scenario.step_s)
         self.turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * self.step_s
-        std = math.radians(scenario.bearing_std_deg) / math.sqrt(scenario.detection_probability)
-        self._reference_only = scenario.bearings == "reference"
         self._settings = (
-            self.step_s, self.turn_per_step, float(scenario.process_noise_m_s), std * std,
-            CRITERIA.index(criterion), float(controls == "turns"), float(guard_m), GUARD_PER_S,
-            float(scenario.standoff_m), STANDOFF_PER_S,
+            *self._numbers(scenario), float(self.criteria.index(criterion)), float(controls == "turns"),
+            float(guard_m), GUARD_PER_S, float(scenario.standoff_m), STANDOFF_PER_S,
         )  # fmt: skip
+
+    def situation(self, belief: Belief, horizon: int) -> Situation:
+        """What the belief says (see `situation`)."""
+        return situation(belief, self.step_s, horizon)
+
+    def revealed(self, start: Situation, world: World) -> Situation:
+        """The situation with the targets' true paths and the Cramér–Rao bound in place of the tracks' covariances."""
+        last = world.tape.targets.shape[1] - 1
+        at = np.minimum(world.step[:, None] + np.arange(1, start.paths.shape[1] + 1), last)
+        paths = world.tape.targets[np.arange(len(at))[:, None], at, :, : start.paths.shape[-1]]
+        return start._replace(paths=paths, cov=world.bound)
 
     def cost(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Costs [e, c] in nepers of c plans for each of e environments, in one compiled call.
@@ -313,30 +298,24 @@ class Prediction:
             controls: [e, c, g, s] headings [rad] or turn rates in [−1, 1] of g legs.
             ends: [e, c, g] step at which a leg ends; the last leg lasts to the end.
         """
-        model = self._model(start.platforms.shape[1])
         blocks = Blocks(len(controls))
-        flights = (2, start.paths.shape[1], *start.platforms.shape[1:2], 2)
 
         def run(rows: slice) -> np.ndarray:
-            begin = [part[rows] for part in start]
             with np.errstate(all="ignore"):  # a diverged track costs `WORST`
-                return _plan_costs(*begin, controls[rows], ends[rows], model, np.empty(flights))
+                return self._costs(start.rows(rows), controls[rows], ends[rows])
 
         return np.concatenate(blocks.map(run, blocks.slices))
 
-    def _model(self, stations: int) -> np.ndarray:
-        """Numbers the kernel reads, in its order."""
-        T, limit, q, var, *rest = self._settings
-        return np.array([T, limit, q, var, stations - 1 if self._reference_only else 0, *rest])
+    def _numbers(self, scenario: Any) -> tuple[float, ...]:
+        """The first numbers the family's kernel reads, in its order."""
+        std = math.radians(scenario.bearing_std_deg) / math.sqrt(scenario.detection_probability)
+        reference_only = float(scenario.bearings == "reference")
+        return (self.step_s, self.turn_per_step, float(scenario.process_noise_m_s), std * std, reference_only)
 
-
-def towards(headings: np.ndarray, platforms: np.ndarray, turn_per_step: float) -> np.ndarray:
-    """Commands [..., s] in [−1, 1] that turn platforms [..., s, 4] towards headings [..., s] rad, then hold them."""
-    heading = np.arctan2(platforms[..., 3], platforms[..., 2])
-    return np.clip(wrap(headings - heading) / max(turn_per_step, 1e-12), -1.0, 1.0)
-
-
-def line_of_sight(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Directions [..., s] rad from platforms [..., s, 4] to the middle of tracks [..., m, 4]."""
-    to_middle = mean[..., None, :, :2].mean(-2) - platforms[..., :2]
-    return np.arctan2(to_middle[..., 1], to_middle[..., 0])
+    def _costs(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Costs [e, c], on one thread."""
+        stations = start.platforms.shape[1]
+        model = np.array(self._settings)
+        model[4] *= stations - 1  # the first station whose bearings count
+        flights = np.empty((2, start.paths.shape[1], stations, 2))
+        return _plan_costs(*start[:5], controls, ends, model, flights)

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
 
 
@@ -65,6 +66,46 @@ def turn(states, turn_rate, step_s):
         [..., s, 4].
     """
     return _turn(states, turn_rate, step_s)
+
+
+@helper
+def _turned_by(turned, T):
+    """Cosine and sine of a turn by `turned` rad in T seconds, and the arc's reach along and across the start course
+    [s], to be multiplied by the speed (as `arc`)."""
+    c, s = math.cos(turned), math.sin(turned)
+    if abs(turned) > 1e-9:
+        return c, s, T * s / turned, T * (1.0 - c) / turned
+    return c, s, T, 0.0
+
+
+@helper
+def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
+    """Places flight [k, 2] of a platform `level` [x, y, vx, vy] after each of k steps of T seconds.
+
+    Leg g of the plan lasts until step ends[g], the last one to the end. Its control is a heading [rad] to turn to by
+    at most `limit` rad a step, or, with `turns`, a share of the limit to turn by. Nearly all steps are straight or
+    turn at the limit: those arcs are computed once.
+    """
+    x, y, vx, vy = level[0], level[1], level[2], level[3]
+    heading, leg = math.atan2(vy, vx), 0
+    straight, hardest = _turned_by(0.0, T), _turned_by(limit, T)
+    for k in range(steps):
+        while leg < ends.shape[0] - 1 and k >= ends[leg]:
+            leg += 1
+        turned = controls[leg] * limit if turns else wrap_scalar(controls[leg] - heading)
+        turned = min(max(turned, -limit), limit)
+        heading += turned
+        if abs(turned) <= 1e-9:
+            c, s, along, across = straight
+        elif abs(turned) < limit:
+            c, s, along, across = _turned_by(turned, T)
+        else:
+            c, s, along, across = hardest
+            if turned < 0.0:
+                s, across = -s, -across
+        x, y = x + along * vx - across * vy, y + along * vy + across * vx
+        vx, vy = c * vx - s * vy, s * vx + c * vy
+        flight[k, 0], flight[k, 1] = x, y
 
 
 @kernel("(s,x6),(s),(s),(),(h)->(s,x6)", "FFFfFF")

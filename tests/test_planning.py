@@ -13,7 +13,8 @@ from agents.greedy import Greedy
 from agents.imitation import imitate
 from agents.planner import Oracle, Planner
 from agents.policy import make_policy, sees_world
-from agents.prediction import CRITERIA, GUARD_PER_S, STANDOFF_PER_S, WORST, Prediction, situation, towards
+from agents.prediction import CRITERIA, GUARD_PER_S, STANDOFF_PER_S, WORST, Prediction, situation
+from agents.steering import towards
 from agents.tuning import as_markdown, tune_zigzag
 from passive_env.belief import Belief
 from passive_env.catalogue.two_station import TwoStation
@@ -249,7 +250,7 @@ def test_greedy_with_two_platforms_is_no_worse_than_any_single_change():
     policy = Greedy(scenario(), 8, headings=9)
     start = situation(belief, 5.0, 8)
     best = policy.best(start, belief.mean)
-    candidates = policy.candidates(belief.platforms, belief.mean)
+    candidates = policy.candidates(start, belief.mean)
     plans = np.repeat(best[:, None, None], 10, axis=1)
     plans[..., 0, 1] = candidates[:, 1]
     costs = policy.prediction.cost(start, plans, np.full((5, 10, 1), 8))

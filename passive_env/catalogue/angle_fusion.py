@@ -32,6 +32,9 @@ PAPER_TARGET = (30000.0, -3000.0, 8000.0, -150.0, 0.0, 0.0)
 """The paper's layout as the specification reads it: two platforms abreast, 6 km apart, head east at 150 m/s towards a
 target that heads west; states m, m/s."""
 
+PAPER_TURN_S, PAPER_TURN_DEG = 40.0, 45.0
+"""The paper's maneuver: at this time platform 0 turns left, to the north, by this angle; platform 1 flies on."""
+
 COURSE_UNIFORMS = 13
 """Uniform numbers of an episode's courses: formation, its side, baseline, heading, two altitudes; the target's bearing,
 range, speed, course, altitude, climb, recorded flight."""
