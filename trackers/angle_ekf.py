@@ -73,11 +73,12 @@ class AngleEkf(AngleFilter):
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Condition every track on the scan."""
         scan.check()
-        scan = scan.over_tracks()
+        told = scan.over_tracks()
+        scan = self.around(state, told)
         if self.outlier_test is not None:
             accepted = outlier_distances(state, scan, self.outlier_test) <= TESTS[self.outlier_test][1]
             scan = scan._replace(available=scan.available & accepted[..., None])
         mean, cov, nu, S, log_likelihood, slot = update_directions(state, scan)
         seen = (slot >= 0).astype(np.int64)
-        posterior = self.renew(Gaussian(mean, cov), scan)
+        posterior = self.renew(Gaussian(mean, cov), told)
         return AngleUpdate(posterior, nu, S, log_likelihood, slot, seen, 1.0 - seen, np.zeros_like(seen))

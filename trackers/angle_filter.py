@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trackers.angle_contract import AngleScan, AngleUpdate
+from trackers.direction import std_with_curvature
 from trackers.gaussian import Gaussian
 from trackers.motion_3d import predict_3d
 from trackers.outliers import TESTS
@@ -28,8 +29,11 @@ class AngleFilter(ABC):
         clutter_known: use the scan's clutter density where it is positive; otherwise m/V, from the returns in the gate.
         initial_velocity_std: east, north, up [m/s]; the first velocity is 0.
         outlier_test: None, "conditioned" or "coplanarity" at 99 % (`trackers.outliers`).
+        second_order: whether the curvature of azimuth and elevation adds to their variance. While range is poorly known
+            a scan says less than its slope promises (`trackers.direction.std_with_curvature`).
         reinitiate: start a track afresh from a scan's fix once its own covariance calls it lost (`LOST_SHARE`).
-        floor_m, cap_m: nearest and farthest range of interest, for the first position.
+        floor_m, cap_m: 95 % of the log-normal prior of range lie between them; it counts where the first directions
+            do not fix the position (`trackers.triangulation_3d`).
     Raises:
         ValueError: a setting outside its range.
     """
@@ -41,9 +45,10 @@ class AngleFilter(ABC):
     clutter_known: bool = True
     initial_velocity_std: tuple[float, float, float] = (200.0, 200.0, 50.0)
     outlier_test: str | None = None
+    second_order: bool = False
     reinitiate: bool = False
-    floor_m: float = 1.0e3
-    cap_m: float = 1.0e5
+    floor_m: float = 5.0e3
+    cap_m: float = 2.0e5
 
     def __post_init__(self):
         for name in ("gate", "fused_gate", "floor_m"):
@@ -91,6 +96,12 @@ class AngleFilter(ABC):
             given = np.size(self.detection_probability)
             raise ValueError(f"detection_probability has {given} values: must be one number or {sensors}, one a sensor")
         return np.broadcast_to(np.asarray(self.detection_probability, dtype=float), (sensors,))
+
+    def around(self, prior: Gaussian, scan: AngleScan) -> AngleScan:
+        """The scan as a linearisation at the prior may use it: with the variance of the curvature if settings say so."""
+        if not self.second_order:
+            return scan
+        return scan._replace(angle_std=std_with_curvature(prior, scan.platforms, scan.angle_std))
 
     def renew(self, state: Gaussian, scan: AngleScan) -> Gaussian:
         """The state, lost tracks started afresh if the settings say so; `scan` with the state's leading axes."""

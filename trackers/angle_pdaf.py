@@ -380,7 +380,9 @@ class AnglePdaf(AngleFilter):
     def _associate(self, state: Gaussian, scan: AngleScan, nearest: bool) -> AngleUpdate:
         scan.check()
         scan = scan.over_tracks()
-        mean, cov, *rest = associate_directions(state, scan, self, self.detection(scan), nearest)
+        mean, cov, *rest = associate_directions(
+            state, self.around(state, scan), self, self.detection(scan), nearest
+        )
         return AngleUpdate(self.renew(Gaussian(mean, cov), scan), *rest)
 
 
@@ -411,7 +413,8 @@ class AnglePdafSequential(AnglePdaf):
         whole, parts, p_d = scan.over_tracks(), [], self.detection(scan)
         posterior = state
         for s in range(np.shape(scan.platforms)[-2]):
-            mean, cov, *rest = associate_directions(posterior, whole.sensor(s), self, p_d[s : s + 1])
+            one = self.around(posterior, whole.sensor(s))
+            mean, cov, *rest = associate_directions(posterior, one, self, p_d[s : s + 1])
             posterior = Gaussian(mean, cov)
             parts.append(rest)
         nu, S, evidence, *counts = zip(*parts, strict=True)

@@ -94,6 +94,52 @@ def moved(h, x, x_new):
     return h[0] * (x_new[0] - x[0]) + h[1] * (x_new[1] - x[1]) + h[2] * (x_new[2] - x[2])
 
 
+@helper
+def direction_curvature(x, platform, P):
+    """½ tr(H_xx P H_xx P) [rad²] of azimuth and elevation at x [≥3] for P [≥3, ≥3]: variance a curvature adds.
+
+    With ρ, t, z the axes along and across the level line of sight and up, and r, t, e those of the line of sight
+    itself, the Hessians are −(ρtᵀ + tρᵀ)/ρ² and −(reᵀ + erᵀ + tan(elevation) ttᵀ)/r². Both count where range is
+    poorly known compared with itself.
+    """
+    dx, dy, dz = x[0] - platform[0], x[1] - platform[1], x[2] - platform[2]
+    rho2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
+    r2, rho = rho2 + dz * dz, math.sqrt(rho2)
+    c, s = dx / rho, dy / rho
+    level, rise, tangent = rho / math.sqrt(r2), dz / math.sqrt(r2), dz / rho
+    cc, cs, ss = c * c, c * s, s * s
+    p_rho, p_t = cc * P[0, 0] + 2.0 * cs * P[1, 0] + ss * P[1, 1], ss * P[0, 0] - 2.0 * cs * P[1, 0] + cc * P[1, 1]
+    p_rho_t = cs * (P[1, 1] - P[0, 0]) + (cc - ss) * P[1, 0]
+    p_rho_z, p_t_z, p_z = c * P[2, 0] + s * P[2, 1], c * P[2, 1] - s * P[2, 0], P[2, 2]
+    p_r = level * level * p_rho + 2.0 * level * rise * p_rho_z + rise * rise * p_z
+    p_e = rise * rise * p_rho - 2.0 * level * rise * p_rho_z + level * level * p_z
+    p_r_e = level * rise * (p_z - p_rho) + (level * level - rise * rise) * p_rho_z
+    p_r_t, p_e_t = level * p_rho_t + rise * p_t_z, level * p_t_z - rise * p_rho_t
+    azimuth = (p_rho * p_t + p_rho_t * p_rho_t) / (rho2 * rho2)
+    elevation = p_r * p_e + p_r_e * p_r_e + tangent * (0.5 * tangent * p_t * p_t + 2.0 * p_e_t * p_r_t)
+    return max(azimuth, 0.0), max(elevation / (r2 * r2), 0.0)
+
+
+@kernel("(x6),(x6,x6),(s,p3),(s,a2)->(s,a2)", "FFFFF")
+def _std_with_curvature(x, P, platforms, std, widened):
+    for s in range(platforms.shape[0]):
+        azimuth, elevation = direction_curvature(x, platforms[s], P)
+        widened[s, 0] = math.sqrt(std[s, 0] * std[s, 0] + azimuth)
+        widened[s, 1] = math.sqrt(std[s, 1] * std[s, 1] + elevation)
+
+
+def std_with_curvature(prior, platforms, angle_std):
+    """Standard deviations [..., s, 2] rad of measurements about a linearised prediction: noise and curvature.
+
+    Args:
+        prior: mean [..., 6], cov [..., 6, 6].
+        platforms: [..., s, 3] m; angle_std: [..., s, 2] rad.
+    Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), section
+        10.3.2: the diagonal of the second-order term of S, without its correction of the predicted measurement.
+    """
+    return _std_with_curvature(prior.mean, prior.cov, platforms, angle_std)
+
+
 class DirectionGate(NamedTuple):
     """Where a sensor expects its target.
 

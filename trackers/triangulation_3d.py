@@ -1,10 +1,15 @@
-"""A target's first position in space from two or more directions, by Gauss–Newton, with its covariance.
+"""A target's first position in space from two or more directions, with its covariance.
+
+Lines of sight that cross well fix it by Gauss–Newton:
 
     X̂ = argmin Σ_s νᵀ R_s⁻¹ ν,   ν = wrap(z_s − h_s(X)),   C = (Σ_s H_sᵀ R_s⁻¹ H_s)⁻¹
 
-Lines of sight that are parallel within their errors, or that lie on one line, leave the range open. Such a start is
-not refused: it takes the middle of the admitted ranges along the first available line of sight, with a quarter of
-their interval as standard deviation.
+Where they cross at an angle of only a few standard deviations, or not at all, that covariance is worth little: what
+the directions fix is the inverse of range, and a range with a deviation of a third of itself is far from normal. There
+the range along the first line of sight gets a prior, log-normal with 95 % between two ranges of interest, and its
+posterior is summed over nodes. At each node position is normal: r times the noise of the first direction across the
+line of sight, conditioned on the other directions with their linearisation there. The start is the mean and covariance
+of this mixture. With one direction it is the prior; directions that contradict each other at every range count as one.
 """
 
 from __future__ import annotations
@@ -13,15 +18,28 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
-from trackers.direction import linearize_direction, sight_line
+from trackers.direction import absorb, linearize_direction, moved, sight_line
 from trackers.gaussian import Gaussian
 from trackers.linalg import cholesky_in_place
 from trackers.outliers import coplanarity, first_valid
 
 ITERATIONS = 25
+
+WEAK_SHARE = 0.1
+"""Standard deviation over range above which a Gauss–Newton fix gives way to the sum over ranges."""
+
+NODES = 64
+"""Ranges of that sum, evenly spaced in log range: 0.09 apart by default, below the least deviation it is used for."""
+
+REACH = 3.0
+"""Prior standard deviations of log range, both ways, that the nodes cover."""
+
+DISAGREEMENT = float(chi2.ppf(0.9999, 2))
+"""Squared innovation per further direction above which, at every range, directions contradict each other."""
 
 
 class Fix3d(NamedTuple):
@@ -129,31 +147,77 @@ def _range_variance(cov, u):
 
 
 @helper
-def _along_sight(platform, angles, std, u, floor, cap, position, cov):
-    """Middle of the admitted ranges along a line of sight u [3], a quarter of their interval as standard deviation.
-
-    The axes are the line of sight, level across it, and the third; each entry of C = Σ var · e eᵀ.
-    """
-    r, radial = math.sqrt(floor * cap), (0.25 * (cap - floor)) ** 2
+def _across_sight(r, angles, std, P):
+    """Covariance P [6, 6] of a position at range r on a line of sight: σ_az r cos(el) level, σ_el r upwards."""
     level, rise = (r * std[0] * math.cos(angles[1])) ** 2, (r * std[1]) ** 2
-    c, s = math.cos(angles[0]), math.sin(angles[0])
-    across, up = (-s, c, 0.0), (-u[2] * c, -u[2] * s, math.cos(angles[1]))
+    c, s, lift = math.cos(angles[0]), math.sin(angles[0]), math.sin(angles[1])
+    across, up = (-s, c, 0.0), (-lift * c, -lift * s, math.cos(angles[1]))
+    P[:] = 0.0
     for i in range(3):
-        position[i] = platform[i] + r * u[i]
         for j in range(3):
-            cov[i, j] = radial * u[i] * u[j] + level * across[i] * across[j] + rise * up[i] * up[j]
+            P[i, j] = level * across[i] * across[j] + rise * up[i] * up[j]
+
+
+@helper
+def _at_range(r, u, angles, used, first, platforms, std, x, P):
+    """Position x [≥3] and P [6, 6] of a target at range r along the first line of sight u, given all directions.
+
+    Returns the log-likelihood of the other directions, up to a constant, and their squared innovation.
+    """
+    node, column, H = np.empty(3), np.empty(6), np.empty((2, 3))
+    for i in range(3):
+        node[i] = x[i] = platforms[first, i] + r * u[i]
+    _across_sight(r, angles[first], std[first], P)
+    log_likelihood = squared = 0.0
+    for s in range(first + 1, angles.shape[0]):
+        if used[s]:
+            h = linearize_direction(node, platforms[s], H)
+            for c in range(2):
+                root = absorb(P, H[c], std[s, c] * std[s, c], column)
+                y = (wrap_scalar(angles[s, c] - h[c]) - moved(H[c], node, x)) / root
+                for i in range(3):
+                    x[i] += column[i] * y
+                log_likelihood -= 0.5 * y * y + math.log(root)
+                squared += y * y
+    return log_likelihood, squared
+
+
+@helper
+def _sum_over_ranges(u, angles, used, first, platforms, std, floor, cap, mean, cov):
+    """Mean [3] and covariance [3, 3] over all ranges; returns the least squared innovation of any of them."""
+    x, P, log_w = np.empty((NODES, 3)), np.empty((NODES, 6, 6)), np.empty(NODES)
+    median, deviation, least = 0.5 * math.log(floor * cap), 0.25 * math.log(cap / floor), math.inf
+    for n in range(NODES):
+        t = REACH * (2.0 * n / (NODES - 1) - 1.0)
+        r = math.exp(median + t * deviation)
+        log_likelihood, squared = _at_range(r, u, angles, used, first, platforms, std, x[n], P[n])
+        log_w[n] = log_likelihood - 0.5 * t * t
+        least = min(least, squared)
+    w = np.exp(log_w - log_w.max())
+    w /= w.sum()
+    mean[:] = 0.0
+    cov[:] = 0.0
+    for n in range(NODES):
+        for i in range(3):
+            mean[i] += w[n] * x[n, i]
+    for n in range(NODES):
+        for i in range(3):
+            for j in range(3):
+                cov[i, j] += w[n] * (P[n, i, j] + (x[n, i] - mean[i]) * (x[n, j] - mean[j]))
+    return least
 
 
 @helper
 def start_into(angles, used, platforms, std, floor, cap, velocity_std, mean, cov):
-    """Start of a track from one direction [2] per used sensor; returns whether it is a fix.
+    """Start of a track from one direction [2] per used sensor; returns whether more than one of them serves it.
 
-    A fix counts if it lies between the admitted ranges of the first used sensor, before it, and is better than
-    knowing nothing but the line of sight.
+    A Gauss–Newton fix counts if it lies before the first used sensor and is better than `WEAK_SHARE` of its range.
     """
-    first = 0
+    first = count = 0
     while not used[first]:
         first += 1
+    for s in range(first, used.shape[0]):
+        count += used[s]
     u = np.empty(3)
     sight_line(angles[first, 0], angles[first, 1], u)
     mean[:] = 0.0
@@ -163,9 +227,14 @@ def start_into(angles, used, platforms, std, floor, cap, velocity_std, mean, cov
         ahead = 0.0
         for i in range(3):
             ahead += u[i] * (mean[i] - platforms[first, i])
-        fixed = floor < ahead < cap and _range_variance(cov[:3, :3], u) < (0.25 * (cap - floor)) ** 2
+        fixed = ahead > 0.0 and _range_variance(cov[:3, :3], u) < (WEAK_SHARE * ahead) ** 2
     if not fixed:
-        _along_sight(platforms[first], angles[first], std[first], u, floor, cap, mean[:3], cov[:3, :3])
+        x, P = mean[:3], cov[:3, :3]
+        least = _sum_over_ranges(u, angles, used, first, platforms, std, floor, cap, x, P)
+        fixed = count > 1 and least <= DISAGREEMENT * (count - 1)
+        if count > 1 and not fixed:
+            alone = np.zeros(used.shape[0], dtype=np.bool_)
+            _sum_over_ranges(u, angles, alone, first, platforms, std, floor, cap, x, P)
     for i in range(3):
         cov[i + 3, i + 3] = velocity_std[i] * velocity_std[i]
     return fixed
@@ -271,7 +340,7 @@ def start_tracks(scan, floor_m: float, cap_m: float, velocity_std) -> Gaussian:
 
     Args:
         scan: `AngleScan`.
-        floor_m, cap_m: nearest and farthest range of interest.
+        floor_m, cap_m: 95 % of the log-normal prior of range lie between them; it counts where a fix is weak.
         velocity_std: [3] m/s; the first velocity is 0.
     Raises:
         ValueError: a scan without any return whose azimuth and elevation are both available.

@@ -69,6 +69,7 @@ class AngleFusion(TrackingScenario):
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
         ("baseline_min_m", "baseline_max_m"),
         ("range_min_m", "range_max_m"),
+        ("range_floor_m", "range_cap_m"),
         ("target_speed_min_m_s", "target_speed_max_m_s"),
         ("target_altitude_min_m", "target_altitude_max_m"),
         ("platform_altitude_min_m", "platform_altitude_max_m"),
@@ -94,6 +95,9 @@ class AngleFusion(TrackingScenario):
     gate: float = number(16.0, 1.0, 100.0, "γ₂, squared size of the gates of single sensors")
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
     outlier_test: str = choice("off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside")
+    range_floor_m: float = number(10e3, 1.0, 1e7, "the tracker's prior of range, where directions do not fix it: 95 % …")
+    range_cap_m: float = number(100e3, 1.0, 1e7, "… lie between these two")
+    second_order: bool = flag(True, "whether the curvature of azimuth and elevation adds to their variance")
     reinitiate: bool = flag(False, "whether a track that the tracker finds lost starts anew")
     detection_probability: float = number(1.0, 0.01, 1.0, "of the target by an available sensor, after the first scan")
     availability0_min: float = number(1.0, 0.0, 1.0, "share of scans that platform 0's sensor delivers: least drawn")
@@ -170,6 +174,9 @@ class AngleFusion(TrackingScenario):
             detection_probability=self.detection_probability,
             clutter_known=self.clutter_known,
             outlier_test=None if self.outlier_test == "off" else self.outlier_test,
+            floor_m=self.range_floor_m,
+            cap_m=self.range_cap_m,
+            second_order=self.second_order,
             reinitiate=self.reinitiate,
         )
 
