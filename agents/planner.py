@@ -212,7 +212,14 @@ PLANNERS = {
 }
 """Makers (scenario, seed)."""
 
-IN_SPACE = {"horizon": 24, "segments": 4, "samples": 16, "iterations": 2, "elites": 4, "replan_steps": 1}
+IN_SPACE: dict[str, Any] = {
+    "horizon": 24,
+    "segments": 4,
+    "samples": 16,
+    "iterations": 2,
+    "elites": 4,
+    "replan_steps": 1,
+}
 """Settings for platforms in space: less searching each time, but at every scan. Plans flown blindly for some scans end,
 once in a thousand episodes, in a pass so close that the track is lost; seeds from 500,000 on."""
 
