@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.actor import plain_actor
 from agents.algorithms import find_algorithm
 from passive_env.belief import Belief
 from passive_env.core import Simulation
@@ -27,6 +28,7 @@ class ModelPolicy:
 
     def __init__(self, model: BaseAlgorithm, simulation: Simulation):
         self._model = model
+        self._actor = plain_actor(model)
         self._decode = simulation.actions.decode
         self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
@@ -40,6 +42,8 @@ class ModelPolicy:
         Raises:
             ValueError: a recurrent model in the middle of another number of episodes.
         """
+        if self._actor is not None:
+            return self._decode(self._actor(observation), len(observation))
         if self._memory is not None and self._memory[0].shape[1] != len(observation):
             raise ValueError(
                 f"{len(observation)} observations, but {self._memory[0].shape[1]} episodes are remembered: "

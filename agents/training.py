@@ -22,6 +22,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from agents.activation import quicken
 from agents.algorithms import ALGORITHMS, find_algorithm
 from agents.asymmetric import AsymmetricPolicy, for_flying
 from agents.evaluation import fly
@@ -272,6 +273,7 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         tensorboard_log=str(run.folder / "tensorboard"),
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
+    quicken(model.policy)
     if "imitation" in preset:
         imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
     return model
@@ -290,6 +292,7 @@ class LinearDecay:
 
 def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     model: Any = load_model(run.folder / CHECKPOINT, run.algo, env=env, device=run.device)
+    quicken(model.policy)
     if not ALGORITHMS[run.algo].on_policy:
         model.replay_buffer.device = model.device  # it still names the device of the run that saved it
     return model

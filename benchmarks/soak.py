@@ -23,7 +23,7 @@ from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.rewards import TERMS
 
-ALL_TERMS = {f"reward_{name}": 1.0 for name in TERMS} | {"standoff_m": 1e5}
+ALL_TERMS = {f"reward_{name}": 1.0 for name in TERMS if "position" not in name} | {"standoff_m": 1e5}
 OVERHEAD = {
     "range_min_m": 1e3,
     "range_max_m": 1e3,

@@ -78,6 +78,7 @@ class Simulation:
         sighting = self.sensors.sense(world.tape, step, platforms, predicted)
         update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
+        _check_shapes(estimate, sighting.truth.shape, self.tracker)
         bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms, world.tape)
         new = World(
             step, platforms, world.tape, update.posterior, estimate, self.sensors.report(sighting, update), command,
@@ -116,15 +117,24 @@ def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None
     Raises:
         TypeError: no mean and cov; ValueError: wrong shapes, or variances that are not positive numbers.
     """
+    _check_shapes(estimate, shape, tracker)
+    variances = np.diagonal(estimate.cov, axis1=-2, axis2=-1)
+    if not ((variances > 0.0) & np.isfinite(variances)).all():
+        raise ValueError(f"tracker {type(tracker).__name__}: estimate() gave variances that are not positive numbers")
+
+
+def _check_shapes(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:
+    """Refuse what is no estimate of every target [e, m, 4]; what may become NaN on the way is cut where it is used.
+
+    Raises:
+        TypeError: no mean and cov; ValueError: wrong shapes, which kernels might broadcast.
+    """
     name = f"tracker {type(tracker).__name__}: estimate()"
     if not (hasattr(estimate, "mean") and hasattr(estimate, "cov")):
         raise TypeError(f"{name} gave {type(estimate).__name__}, must give a trackers.gaussian.Gaussian (mean, cov)")
     found, wanted = (np.shape(estimate.mean), np.shape(estimate.cov)), (shape, (*shape, shape[-1]))
     if found != wanted:
         raise ValueError(f"{name} gave mean and cov of shapes {found}, must be {wanted}")
-    variances = np.diagonal(estimate.cov, axis1=-2, axis2=-1)
-    if not ((variances > 0.0) & np.isfinite(variances)).all():
-        raise ValueError(f"{name} gave variances that are not positive numbers")
 
 
 def map_rows(function: Any, *trees: Any) -> Any:

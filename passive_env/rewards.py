@@ -50,6 +50,14 @@ def _mean_ratio(numerator, denominator, out):
     out[0] = total / numerator.shape[0]
 
 
+@kernel("(m),()->()")
+def _mean_cut(value, unit, out):
+    total = 0.0
+    for m in range(value.shape[0]):
+        total += min(value[m] / unit, 10.0)
+    out[0] = total / value.shape[0]
+
+
 ERROR_FLOOR_M = 30.0
 """Errors below this earn no further log reward: luck of one draw, not geometry."""
 
@@ -62,6 +70,26 @@ def log_range_error(moment: Moment):
 def relative_range_error(moment: Moment):
     """−range error / range, mean over targets, each at most 10 [1]."""
     return -_mean_ratio(moment.metrics.range_error_m, moment.metrics.range_m)
+
+
+def range_error(moment: Moment):
+    """−range error, mean over targets, each at most 100 km [10 km]: what a time-averaged error adds up."""
+    return -_mean_cut(moment.metrics.range_error_m, 1e4)
+
+
+def final_range_error(moment: Moment):
+    """`range_error` at the episode's last step, 0 before [10 km]."""
+    return np.where(moment.final, range_error(moment), 0.0)
+
+
+def position_error(moment: Moment):
+    """−position error, mean over targets, each at most 10 km [1 km]."""
+    return -_mean_cut(moment.metrics.position_error_m, 1e3)
+
+
+def final_position_error(moment: Moment):
+    """`position_error` at the episode's last step, 0 before [1 km]."""
+    return np.where(moment.final, position_error(moment), 0.0)
 
 
 def log_position_error(moment: Moment):
@@ -119,6 +147,8 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
     for term in (
         log_range_error,
         relative_range_error,
+        range_error,
+        final_range_error,
         log_range_bound,
         final_log_range_bound,
         information_gain,
@@ -128,6 +158,8 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         lost_track,
         log_position_error,
         relative_position_error,
+        position_error,
+        final_position_error,
         log_position_bound,
     )
 }

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from agents import benchmark
-from agents.benchmark import MEASUREMENTS, filters, run_benchmark
+from agents.benchmark import MEASUREMENTS, clutter, filters, run_benchmark
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, meets
 from agents.benchmark.timing import QUICK, Effort, take_turns
 from agents.cli import main
 from agents.planner import Planner
-from trackers import Gaussian, measurement
+from trackers import AnglePdafSequential, Gaussian, measurement
 from trackers.association import PRUNED
 from trackers.compiled import Blocks
 
@@ -79,6 +79,7 @@ def test_every_goal_in_use_can_be_read(sections):
     assert goals["table_1_monte_carlo_50_runs"] == "< 0.2"
     assert goals["ppo_steps"] == ">= 20000"
     assert goals["ppo_environment_share"] == "<= 20"
+    assert goals.get("stone_soup_pda_scan_over_ours", ">= 300") == ">= 300"
 
 
 def test_figures_are_positive_numbers_with_unique_names(sections):
@@ -214,6 +215,40 @@ def test_other_libraries_compute_the_same_posterior(rival):
     correction = np.abs(ours.posterior.mean - prior.mean).max(axis=0)
     assert (correction > 1.0).all()
     np.testing.assert_array_less(np.abs(theirs - ours.posterior.mean).max(axis=0), tolerance * correction)
+
+
+def test_stone_soup_weighs_the_same_scans():
+    """The compared scans answer one question: our sequential filter and Stone Soup's PDA give the same means."""
+    pytest.importorskip("stonesoup")
+    scene = clutter.make_scene(clutter.COMPARED, 6)
+    tracker = AnglePdafSequential(gate=clutter.GAMMA, detection_probability=clutter.DETECTION)
+    update = tracker.update(scene.state, scene.scan)
+    np.testing.assert_array_equal(update.validated[..., 0], clutter.COMPARED)
+    theirs = np.array(clutter.stone_soup_scans(scene, 6)())
+    correction = np.abs(update.posterior.mean - scene.state.mean)[:, 0, :3].max(axis=0)
+    assert (correction > 10.0).all()
+    # Stone Soup differentiates numerically.
+    off = np.abs(theirs - update.posterior.mean[:, 0])[:, :3].max(axis=0)
+    np.testing.assert_array_less(off, 0.02 * correction)
+
+
+def test_scenes_hold_what_they_promise():
+    """Every return lies in its sensor's gate, in all batches of the growth measurement."""
+    for returns in clutter.RETURNS:
+        scene = clutter.make_scene(returns, 20)
+        update = AnglePdafSequential(gate=clutter.GAMMA).update(scene.state, scene.scan)
+        np.testing.assert_array_equal(update.validated[..., 0], returns)
+
+
+def test_missing_stone_soup_leaves_out_its_pda(monkeypatch):
+    def refuse(name):
+        raise ImportError(f"No module named {name!r}")
+
+    monkeypatch.setattr(clutter, "import_module", refuse)
+    section = clutter.measure_clutter(TINY)
+    assert not [result for result in section.results if result.name.startswith("stone_soup")]
+    assert len(section.notes) == 1
+    assert "pip install passive-env[bench]" in section.notes[0]
 
 
 def test_missing_libraries_are_noted_with_the_remedy(monkeypatch):

@@ -33,7 +33,7 @@ VARIANTS = (
     {"maneuvering": True},
     {"nogo_discs": 2, "standoff_m": 5000.0, "targets": 2},
     {"clutter_mean": 4.0, "detection_probability": 0.7, "availability0_min": 0.3, "availability1_min": 0.3},
-    {"clutter_density_per_deg2": 0.05, "clutter_window_deg": 5.0},
+    {"clutter_density_per_deg2": 0.05, "clutter_window_deg": 5.0, "clutter_mean": 0.0},
     {"formation": "trail"},
     {"tracker": "angle_ekf"},
     {"render_mode": "rgb_array"},
@@ -53,6 +53,8 @@ def applies(env_id, variant) -> bool:
 
 
 def allows(rule, value) -> bool:
+    if rule["kind"] == "free":
+        return value in rule["doc"].replace(",", "").split()  # the trackers' names
     return value in rule.get("options", (value,)) and value <= rule.get("high", value)
 
 

@@ -459,6 +459,8 @@ def moment(standoff_m=12e3, **changes) -> Moment:
     [
         ("log_range_error", -(math.log(2.0) + math.log(0.5)) / 2.0),
         ("relative_range_error", -(2000.0 / 40e3 + 500.0 / 10e3) / 2.0),
+        ("range_error", -(0.2 + 0.05) / 2.0),
+        ("final_range_error", -(0.2 + 0.05) / 2.0),
         ("log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
         ("final_log_range_bound", -(math.log(1.0) + math.log(0.25)) / 2.0),
         ("information_gain", (math.log(4.0) + math.log(2.0)) / 2.0),
@@ -475,9 +477,9 @@ def test_reward_term_by_hand(term, expected):
 
 def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
     assert set(TERMS) == {
-        "log_range_error", "relative_range_error", "log_range_bound", "final_log_range_bound", "information_gain",
-        "maneuver", "standoff", "nogo", "lost_track", "log_position_error", "relative_position_error",
-        "log_position_bound",
+        "log_range_error", "relative_range_error", "range_error", "final_range_error", "log_range_bound",
+        "final_log_range_bound", "information_gain", "maneuver", "standoff", "nogo", "lost_track", "log_position_error",
+        "relative_position_error", "position_error", "final_position_error", "log_position_bound",
     }  # fmt: skip
     in_plane, in_space = (
         {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
@@ -493,6 +495,8 @@ def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off(
     assert TERMS["log_range_error"](moment(metrics=lucky)) == pytest.approx(np.array([math.log(1000.0 / 30.0)]))
     far = metrics._replace(range_error_m=np.array([[1e9, 1000.0]]))
     assert TERMS["relative_range_error"](moment(metrics=far)) == pytest.approx(np.array([-(10.0 + 0.1) / 2.0]))
+    assert TERMS["range_error"](moment(metrics=far)) == pytest.approx(np.array([-(10.0 + 0.1) / 2.0]))
+    assert TERMS["final_range_error"](moment(final=np.array([False]))) == pytest.approx(np.array([0.0]))
     assert TERMS["standoff"](moment(standoff_m=0.0)) == pytest.approx(np.array([0.0]))
     assert TERMS["final_log_range_bound"](moment(final=np.array([False]))) == pytest.approx(np.array([0.0]))
 
@@ -510,6 +514,8 @@ def test_rewards_in_the_environment_are_the_weighted_terms():
         expected = {
             "log_range_error": -np.log(np.maximum(info["range_error_m"], 30.0) / 1e3).mean(),
             "relative_range_error": -(info["range_error_m"] / info["range_m"]).mean(),
+            "range_error": -info["range_error_m"].mean() / 1e4,
+            "final_range_error": -info["range_error_m"].mean() / 1e4 * truncated,
             "log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean(),
             "final_log_range_bound": -np.log(info["range_crlb_m"] / 1e3).mean() * truncated,
             "information_gain": np.log(previous / info["range_crlb_m"]).mean(),
@@ -951,6 +957,73 @@ def test_a_trackers_first_estimate_is_checked(spoil, error, message):
 
     with pytest.raises(error, match=message):
         PassiveEnv(tracker=Spoiled()).reset(seed=0)
+
+
+class Later(PlainEkf):
+    """Gives sound estimates for three scans, then spoils them."""
+
+    def __init__(self, spoil):
+        super().__init__()
+        self._spoil, self.asked = spoil, 0
+
+    def estimate(self, state):
+        self.asked += 1
+        sound = super().estimate(state)
+        return sound if self.asked <= 3 else self._spoil(*sound)
+
+
+LATE_FAULTS = {
+    "tuple": (lambda mean, cov: (mean, cov), TypeError, r"Later: estimate\(\) gave tuple"),
+    "a track too few": (lambda mean, cov: Gaussian(mean[:, :1], cov[:, :1]), ValueError, r"must be \(\(2, 3, 4\)"),
+    "one for all": (lambda mean, cov: Gaussian(mean[:1], cov[:1]), ValueError, r"\(1, 3, 4\), .*must be \(\(2, 3, 4\)"),
+    "no velocity": (lambda mean, cov: Gaussian(mean[..., :2], cov), ValueError, r"must be \(\(2, 3, 4\)"),
+    "variances": (lambda mean, cov: Gaussian(mean, cov[..., 0]), ValueError, r"\(2, 3, 4, 4\)"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "error", "message"), LATE_FAULTS.values(), ids=LATE_FAULTS)
+def test_a_trackers_later_estimates_keep_their_shape(spoil, error, message):
+    """An estimate for one environment would broadcast to all without a word."""
+    env = PassiveVectorEnv(num_envs=2, threads=1, tracker=Later(spoil))
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros((2, 2)))
+    with pytest.raises(error, match=message):
+        env.step(np.zeros((2, 2)))
+
+
+def numbers_in(tree):
+    """All arrays and numbers in nested dicts and tuples."""
+    if isinstance(tree, dict):
+        tree = tuple(tree.values())
+    return [leaf for part in tree for leaf in numbers_in(part)] if isinstance(tree, tuple) else [tree]
+
+
+SPOILT = {
+    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
+    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
+    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
+    "one velocity": lambda mean, cov: Gaussian(mean + np.array([0.0, 0.0, np.nan, 0.0]), cov),
+    "negative": lambda mean, cov: Gaussian(mean, -cov),
+    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
+@pytest.mark.parametrize("scenario", ["TwoStation", "Ownship"])
+def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, scenario):
+    """Observation, reward and all of info stay finite, with every reward term in use."""
+    weights = {f"reward_{name}": 1.0 for name in TERMS if "position" not in name}
+    tracker = Later(spoil)
+    env = PassiveVectorEnv(scenario, num_envs=2, threads=1, tracker=tracker, standoff_m=10e3, steps=8, **weights)
+    env.reset(seed=0)
+    with np.errstate(all="ignore"):
+        for _ in range(8):
+            observation, reward, _, _, info = env.step(np.full(env.action_space.shape, 0.3))
+            assert observation in env.observation_space
+            assert np.isfinite(reward).all()
+            assert all(np.isfinite(leaf).all() for leaf in numbers_in(info))
+    assert tracker.asked == 9
 
 
 def test_flights_are_checked_when_the_environment_is_made(tmp_path):

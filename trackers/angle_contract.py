@@ -39,6 +39,22 @@ class AngleScan(NamedTuple):
         ranks = (3, 2, 2, 2, 2, 1)
         return AngleScan(*(np.expand_dims(part, -rank - 1) for part, rank in zip(self, ranks, strict=True)))
 
+    def check(self) -> None:
+        """Refuse what would spread through every number.
+
+        Raises:
+            ValueError: angles or platforms that are not finite, a standard deviation that is not positive.
+        """
+        for name in ("angles", "platforms"):
+            part = np.asarray(getattr(self, name))
+            if not np.isfinite(part).all():
+                at = tuple(int(i) for i in np.argwhere(~np.isfinite(part))[0])
+                raise ValueError(f"scan.{name}{list(at)} is {part[at]}: must be finite (0 in slots that are not valid)")
+        std = np.asarray(self.angle_std)
+        if not (std > 0.0).all():
+            at = tuple(int(i) for i in np.argwhere(~(std > 0.0))[0])
+            raise ValueError(f"scan.angle_std{list(at)} is {std[at]}: must be positive [rad]")
+
     def sensor(self, s: int) -> AngleScan:
         """The part of one sensor, its axis kept."""
         at = slice(s, s + 1)

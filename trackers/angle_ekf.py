@@ -72,6 +72,7 @@ class AngleEkf(AngleFilter):
 
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Condition every track on the scan."""
+        scan.check()
         scan = scan.over_tracks()
         if self.outlier_test is not None:
             accepted = outlier_distances(state, scan, self.outlier_test) <= TESTS[self.outlier_test][1]

@@ -24,7 +24,7 @@ class AngleFilter(ABC):
     Settings, SI units:
         process_noise: √q [m/s²] per axis, an acceleration held over each step.
         gate: γ₂ of each sensor's gate; fused_gate: γ₄ of pairs of returns.
-        detection_probability: P_D in (0, 1] of every sensor.
+        detection_probability: P_D in (0, 1], one number or one per sensor.
         clutter_known: use the scan's clutter density where it is positive; otherwise m/V, from the returns in the gate.
         initial_velocity_std: east, north, up [m/s]; the first velocity is 0.
         outlier_test: None, "conditioned" or "coplanarity" at 99 % (`trackers.outliers`).
@@ -37,7 +37,7 @@ class AngleFilter(ABC):
     process_noise: float = 30.0
     gate: float = 16.0
     fused_gate: float = 18.47
-    detection_probability: float = 1.0
+    detection_probability: float | tuple[float, ...] = 1.0
     clutter_known: bool = True
     initial_velocity_std: tuple[float, float, float] = (200.0, 200.0, 50.0)
     outlier_test: str | None = None
@@ -51,7 +51,8 @@ class AngleFilter(ABC):
                 raise ValueError(f"{name} {getattr(self, name)}: must be positive and finite")
         if not 0.0 <= self.process_noise < np.inf:
             raise ValueError(f"process_noise {self.process_noise}: must be finite and not negative")
-        if not 0.0 < self.detection_probability <= 1.0:
+        p_d = np.asarray(self.detection_probability, dtype=float)
+        if not ((p_d > 0.0) & (p_d <= 1.0)).all():
             raise ValueError(f"detection_probability {self.detection_probability}: must lie in (0, 1]")
         if not self.floor_m < self.cap_m < np.inf:
             raise ValueError(f"cap_m {self.cap_m}: must be finite and above floor_m {self.floor_m}")
@@ -63,6 +64,7 @@ class AngleFilter(ABC):
 
     def initiate(self, scan: AngleScan) -> Gaussian:
         """One track [..., 1, 6] at the fix of the scan's returns; see `triangulation_3d` for a fix that fails."""
+        scan.check()
         start = start_tracks(scan, self.floor_m, self.cap_m, np.array(self.initial_velocity_std))
         return Gaussian(start.mean[..., None, :], start.cov[..., None, :, :])
 
@@ -77,6 +79,18 @@ class AngleFilter(ABC):
     def estimate(self, state: Gaussian) -> Gaussian:
         """Mean [..., m, 6] and covariance [..., m, 6, 6]."""
         return state
+
+    def detection(self, scan: AngleScan) -> np.ndarray:
+        """P_D [s] of the scan's sensors.
+
+        Raises:
+            ValueError: settings for another number of sensors.
+        """
+        sensors = np.shape(scan.platforms)[-2]
+        if np.size(self.detection_probability) not in (1, sensors):
+            given = np.size(self.detection_probability)
+            raise ValueError(f"detection_probability has {given} values: must be one number or {sensors}, one a sensor")
+        return np.broadcast_to(np.asarray(self.detection_probability, dtype=float), (sensors,))
 
     def renew(self, state: Gaussian, scan: AngleScan) -> Gaussian:
         """The state, lost tracks started afresh if the settings say so; `scan` with the state's leading axes."""

@@ -235,7 +235,7 @@ def whitened_moments(w, y, u, t, mean, spread):
 @helper
 def mix(x, P, P_h, weights, columns, mean, spread, x_out, P_out):
     """Mean and covariance of the four-component mixture; columns [6, 6], one gain per whitened innovation."""
-    none = 1.0 - weights[0] - weights[1] - weights[2]
+    none = max(1.0 - weights[0] - weights[1] - weights[2], 0.0)
     x_out[:] = x
     for c in range(6):
         for r in range(6):
@@ -253,59 +253,6 @@ def mix(x, P, P_h, weights, columns, mean, spread, x_out, P_out):
             for b in range(6):
                 total += row[b] * columns[b, k]
             P_out[r, k] = P_out[k, r] = total
-
-
-@kernel(
-    "(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(s),(),(),(),(),(),()"
-    "->(x6),(x6,x6),(s,a2),(s,a2,a2),(),(s),(s),(s),(s)",
-    "FFFBFFBFfffbifFFFFfIIFI",
-)
-def _average(x, P, angles, valid, platforms, std, available, density, gamma, fused_gamma, p_d, nearest, test, limit,
-             x_out, P_out, nu_out, S, evidence, assignment, validated, missed, dropped):  # fmt: skip
-    H, columns, roots = np.empty((2, 2, 3)), np.zeros((6, 6)), np.ones((3, 2))
-    P_h, cross = np.empty((3, 6, 6)), np.zeros(3)
-    slots, nu, y = np.empty((2, MAX_RETURNS), np.int64), np.empty((2, MAX_RETURNS, 2)), np.empty((2, MAX_RETURNS, 2))
-    d, kept = np.empty((2, MAX_RETURNS)), np.zeros(2, np.int64)
-    hits, misses, two = np.zeros(3), np.zeros(2), platforms.shape[0] == 2
-    for h in range(3):
-        P_h[h] = P
-    for s in range(platforms.shape[0]):
-        own = 2 * s  # the first gain is {1}'s, the second what sensor 2 adds to it, the third {2}'s
-        predicted = linearize_direction(x, platforms[s], H[s])
-        area = math.pi * gamma * math.sqrt(innovation_cov(P, H[s], std[s], S[s]))
-        at = columns[2 * own : 2 * own + 2]
-        cross[own] = sensor_gain(P_h[s], H[s], std[s], available[s], at, roots[own])
-        inside = 0
-        if available[s, 0] or available[s, 1]:
-            inside = keep_nearest(
-                angles[s], valid[s], predicted, roots[own], cross[own], available[s], gamma, slots[s], nu[s], y[s], d[s]
-            )
-        kept[s] = min(inside, MAX_RETURNS)
-        validated[s], dropped[s] = inside, inside - kept[s]
-        hits[s], misses[s] = log_factors(roots[own], area, available[s], gamma, density[s], inside, p_d)
-    u, t = np.empty((kept[1], 2)), np.empty((kept[0], 2))
-    if two:
-        P_h[1] = P_h[0]
-        cross[1] = sensor_gain(P_h[1], H[1], std[1], available[1], columns[2:4], roots[1])
-        hits[2] = hits[1] + math.log(roots[2, 0] * roots[2, 1]) - math.log(roots[1, 0] * roots[1, 1])
-        for j in range(kept[1]):
-            u[j, 0], u[j, 1] = whiten(nu[1, j, 0], nu[1, j, 1], roots[1], cross[1], available[1])
-        for i in range(kept[0]):
-            a = along(H[1, 0], columns[0]) * y[0, i, 0] + along(H[1, 0], columns[1]) * y[0, i, 1]
-            b = along(H[1, 1], columns[0]) * y[0, i, 0] + along(H[1, 1], columns[1]) * y[0, i, 1]
-            t[i, 0], t[i, 1] = whiten(a, b, roots[1], cross[1], available[1])
-    w = np.empty((kept[0] + 1, kept[1] + 1))
-    weigh_pairs(d, u, t, hits, misses, fused_gamma, limit if test == CONDITIONED else math.inf, w)
-    if test == COPLANARITY and available[0].all() and available[1].all():
-        reject_crossing(angles, std, platforms, slots, limit, w)
-    if nearest:
-        only_nearest(d, hits, w)
-    evidence[0] = normalise(w)
-    mean, spread = np.empty(6), np.empty((6, 6))
-    weights = whitened_moments(w, y, u, t, mean, spread)
-    mix(x, P, P_h, weights, columns, mean, spread, x_out, P_out)
-    for s in range(platforms.shape[0]):
-        report(w, s, kept[s], slots[s], nu[s], nu_out[s], assignment, missed)
 
 
 @helper
@@ -329,13 +276,75 @@ def report(w, s, kept, slots, nu, nu_out, assignment, missed):
             assignment[s] = slots[k - 1] if k > 0 else -1
 
 
-def associate_directions(prior: Gaussian, scan: AngleScan, settings: AngleFilter, nearest: bool = False):
+@helper
+def expect_second(H, y, nu, kept, columns, roots, cross, available, u, t):
+    """Sensor 2 after sensor 1: whitened innovations u [m₂, 2], and their expectations t [m₁, 2] given sensor 1's y."""
+    for j in range(kept[1]):
+        u[j, 0], u[j, 1] = whiten(nu[1, j, 0], nu[1, j, 1], roots, cross, available)
+    for i in range(kept[0]):
+        a = along(H[0], columns[0]) * y[0, i, 0] + along(H[0], columns[1]) * y[0, i, 1]
+        b = along(H[1], columns[0]) * y[0, i, 0] + along(H[1], columns[1]) * y[0, i, 1]
+        t[i, 0], t[i, 1] = whiten(a, b, roots, cross, available)
+
+
+@kernel(
+    "(x6),(x6,x6),(s,b,a2),(s,b),(s,p3),(s,a2),(s,a2),(s),(s),(),(),(),(),()"
+    "->(x6),(x6,x6),(s,a2),(s,a2,a2),(),(s),(s),(s),(s)",
+    "FFFBFFBFFffbifFFFFfIIFI",
+)
+def _average(x, P, angles, valid, platforms, std, available, density, p_d, gamma, fused_gamma, nearest, test, limit,
+             x_out, P_out, nu_out, S, evidence, assignment, validated, missed, dropped):  # fmt: skip
+    H, columns, roots = np.empty((2, 2, 3)), np.zeros((6, 6)), np.ones((3, 2))
+    P_h, cross = np.empty((3, 6, 6)), np.zeros(3)
+    slots, nu, y = np.empty((2, MAX_RETURNS), np.int64), np.empty((2, MAX_RETURNS, 2)), np.empty((2, MAX_RETURNS, 2))
+    d, kept = np.empty((2, MAX_RETURNS)), np.zeros(2, np.int64)
+    hits, misses = np.zeros(3), np.zeros(2)
+    for h in range(3):
+        P_h[h] = P
+    for s in range(platforms.shape[0]):
+        own = 2 * s  # the first gain is {1}'s, the second what sensor 2 adds to it, the third {2}'s
+        predicted = linearize_direction(x, platforms[s], H[s])
+        area = math.pi * gamma * math.sqrt(innovation_cov(P, H[s], std[s], S[s]))
+        at = columns[2 * own : 2 * own + 2]
+        cross[own] = sensor_gain(P_h[own], H[s], std[s], available[s], at, roots[own])
+        inside = 0
+        if available[s, 0] or available[s, 1]:
+            inside = keep_nearest(
+                angles[s], valid[s], predicted, roots[own], cross[own], available[s], gamma, slots[s], nu[s], y[s], d[s]
+            )
+        kept[s] = min(inside, MAX_RETURNS)
+        validated[s], dropped[s] = inside, inside - kept[s]
+        hits[s], misses[s] = log_factors(roots[own], area, available[s], gamma, density[s], inside, p_d[s])
+    u, t = np.empty((kept[1], 2)), np.empty((kept[0], 2))
+    if platforms.shape[0] == 2:
+        P_h[1] = P_h[0]
+        cross[1] = sensor_gain(P_h[1], H[1], std[1], available[1], columns[2:4], roots[1])
+        hits[2] = hits[1] + math.log(roots[2, 0] * roots[2, 1]) - math.log(roots[1, 0] * roots[1, 1])
+        expect_second(H[1], y, nu, kept, columns, roots[1], cross[1], available[1], u, t)
+    w = np.empty((kept[0] + 1, kept[1] + 1))
+    weigh_pairs(d, u, t, hits, misses, fused_gamma, limit if test == CONDITIONED else math.inf, w)
+    if test == COPLANARITY and available[0].all() and available[1].all():
+        reject_crossing(angles, std, platforms, slots, limit, w)
+    if nearest:
+        only_nearest(d, hits, w)
+    evidence[0] = normalise(w)
+    mean, spread = np.empty(6), np.empty((6, 6))
+    weights = whitened_moments(w, y, u, t, mean, spread)
+    mix(x, P, P_h, weights, columns, mean, spread, x_out, P_out)
+    for s in range(platforms.shape[0]):
+        report(w, s, kept[s], slots[s], nu[s], nu_out[s], assignment, missed)
+
+
+def associate_directions(
+    prior: Gaussian, scan: AngleScan, settings: AngleFilter, detection_probability, nearest: bool = False
+):
     """Condition tracks on a scan of one or two sensors' returns.
 
     Args:
         prior: mean [..., 6], cov [..., 6, 6].
         scan: leading axes as the prior's.
-        settings: gates, P_D, clutter, outlier test.
+        settings: gates, clutter, outlier test.
+        detection_probability: [s], in (0, 1].
         nearest: take the nearest pair (else the nearest return) for the target's instead of averaging.
     Returns:
         posterior mean and cov, then the fields of `AngleUpdate` after the posterior.
@@ -352,7 +361,7 @@ def associate_directions(prior: Gaussian, scan: AngleScan, settings: AngleFilter
     test, limit = TESTS[settings.outlier_test] if settings.outlier_test else (NO_TEST, np.inf)
     return _average(
         prior.mean, prior.cov, scan.angles, scan.valid, scan.platforms, scan.angle_std, scan.available, density,
-        settings.gate, settings.fused_gate, settings.detection_probability, nearest, test, limit,
+        detection_probability, settings.gate, settings.fused_gate, nearest, test, limit,
     )  # fmt: skip
 
 
@@ -369,8 +378,9 @@ class AnglePdaf(AngleFilter):
         return self._associate(state, scan, nearest=False)
 
     def _associate(self, state: Gaussian, scan: AngleScan, nearest: bool) -> AngleUpdate:
+        scan.check()
         scan = scan.over_tracks()
-        mean, cov, *rest = associate_directions(state, scan, self, nearest)
+        mean, cov, *rest = associate_directions(state, scan, self, self.detection(scan), nearest)
         return AngleUpdate(self.renew(Gaussian(mean, cov), scan), *rest)
 
 
@@ -397,10 +407,11 @@ class AnglePdafSequential(AnglePdaf):
 
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Weigh the returns of every sensor in turn."""
-        whole, parts = scan.over_tracks(), []
+        scan.check()
+        whole, parts, p_d = scan.over_tracks(), [], self.detection(scan)
         posterior = state
         for s in range(np.shape(scan.platforms)[-2]):
-            mean, cov, *rest = associate_directions(posterior, whole.sensor(s), self)
+            mean, cov, *rest = associate_directions(posterior, whole.sensor(s), self, p_d[s : s + 1])
             posterior = Gaussian(mean, cov)
             parts.append(rest)
         nu, S, evidence, *counts = zip(*parts, strict=True)

@@ -55,17 +55,17 @@ def reweight(log_w, log_prune):
 
 @helper
 def copy_hypothesis(x, P, x_out, P_out):
-    """Copy a mean [d] and covariance [d, d] (explicit loops: slices of strided arrays copy slowly)."""
-    for r in range(x.shape[0]):
+    """Copy a mean [4] and covariance [4, 4] (explicit loops of known length: slices of arrays copy slowly)."""
+    for r in range(4):
         x_out[r] = x[r]
-        for c in range(x.shape[0]):
+        for c in range(4):
             P_out[r, c] = P[r, c]
 
 
 @helper
 def clear_hypothesis(x_out, P_out):
     """Zeros in the place of a removed hypothesis: finite, and cheaper than carrying it on."""
-    for r in range(x_out.shape[0]):
+    for r in range(4):
         x_out[r] = 0.0
-        for c in range(x_out.shape[0]):
+        for c in range(4):
             P_out[r, c] = 0.0

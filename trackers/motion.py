@@ -34,28 +34,34 @@ def process_noise(step_s: float, velocity_std: float) -> np.ndarray:
 
 
 @helper
-def predict_in_place(x, P, T, q):
-    """One constant-velocity prediction of x [4] and P [4, 4], in place.
+def predict_into(x, P, T, q, x_out, P_out):
+    """One constant-velocity prediction of x [4] and P [4, 4], written to x_out, P_out.
 
-    Velocity is copied before position is touched; each covariance entry is read before it is overwritten.
+    The output may be the input itself: every entry is read before any is written.
     """
-    x[0] += T * x[2]
-    x[1] += T * x[3]
     q2 = q * q
     half, quarter = 0.5 * T * q2, 0.25 * T * T * q2
+    px, py, vx, vy = x[0], x[1], x[2], x[3]
+    pxx, pxy, pyy = P[0, 0], P[0, 1], P[1, 1]
     vxx, vxy, vyy = P[2, 2], P[2, 3], P[3, 3]
     cxx, cxy, cyx, cyy = P[0, 2], P[0, 3], P[1, 2], P[1, 3]
-    P[0, 0] += 2.0 * T * cxx + T * T * vxx + quarter
-    P[1, 1] += 2.0 * T * cyy + T * T * vyy + quarter
-    P[0, 1] += T * (cxy + cyx) + T * T * vxy
-    P[0, 2] = cxx + T * vxx + half
-    P[0, 3] = cxy + T * vxy
-    P[1, 2] = cyx + T * vxy
-    P[1, 3] = cyy + T * vyy + half
-    P[2, 2] = vxx + q2
-    P[3, 3] = vyy + q2
-    P[1, 0], P[2, 0], P[3, 0] = P[0, 1], P[0, 2], P[0, 3]
-    P[2, 1], P[3, 1], P[3, 2] = P[1, 2], P[1, 3], P[2, 3]
+    x_out[0], x_out[1], x_out[2], x_out[3] = px + T * vx, py + T * vy, vx, vy
+    P_out[0, 0] = pxx + (2.0 * T * cxx + T * T * vxx + quarter)
+    P_out[1, 1] = pyy + (2.0 * T * cyy + T * T * vyy + quarter)
+    P_out[0, 1] = P_out[1, 0] = pxy + (T * (cxy + cyx) + T * T * vxy)
+    P_out[0, 2] = P_out[2, 0] = cxx + T * vxx + half
+    P_out[0, 3] = P_out[3, 0] = cxy + T * vxy
+    P_out[1, 2] = P_out[2, 1] = cyx + T * vxy
+    P_out[1, 3] = P_out[3, 1] = cyy + T * vyy + half
+    P_out[2, 2] = vxx + q2
+    P_out[3, 3] = vyy + q2
+    P_out[2, 3] = P_out[3, 2] = vxy
+
+
+@helper
+def predict_in_place(x, P, T, q):
+    """`predict_into` the input itself."""
+    predict_into(x, P, T, q, x, P)
 
 
 @helper
@@ -97,9 +103,7 @@ def turn_in_place(x, P, T, rate, q):
 
 @kernel("(x),(x,x),(),()->(x),(x,x)")
 def _predict(x, P, T, q, x_out, P_out):
-    x_out[:] = x
-    P_out[:] = P
-    predict_in_place(x_out, P_out, T, q)
+    predict_into(x, P, T, q, x_out, P_out)
 
 
 def predict(prior: Gaussian, step_s, velocity_std) -> Gaussian:

@@ -1,9 +1,9 @@
 """Association weights of one scan of two sensors, as the formulas stand: for pictures, and to check the compiled PDAF.
 
     w_00 = q₁ q₂                         w_i0 = (P_D/λ₁) N(ν₁ᵢ; 0, S₁₁) q₂
-    w_0j = (P_D/λ₂) N(ν₂ⱼ; 0, S₂₂) q₁    w_ij = (P_D²/(λ₁ λ₂)) N(ν_ij; 0, S)
+    w_0j = (P_D/λ₂) N(ν₂ⱼ; 0, S₂₂) q₁    w_ij = (P_D P_D/(λ₁ λ₂)) N(ν_ij; 0, S)
 
-with q = 1 − P_D P_G and S the innovations' joint covariance.
+with q = 1 − P_D P_G, every P_D its sensor's own, and S the innovations' joint covariance.
 Source: Wang, Wang and Yang (2004), section 4, with per-sensor Poisson clutter in place of eqs 21–24.
 """
 
@@ -34,7 +34,8 @@ def return_weights(predicted: Gaussian, scan: AngleScan, settings: AnglePdaf) ->
     nu = wrap(np.asarray(scan.angles) - direction(predicted.mean, scan.platforms)[:, None])
     H = direction_jacobian(predicted.mean, scan.platforms).reshape(4, 3)
     S = H @ predicted.cov[:3, :3] @ H.T + np.diag(np.square(scan.angle_std).ravel())
-    miss = math.log(max(1.0 - settings.detection_probability * -math.expm1(-0.5 * settings.gate), SURE))
+    p_d = settings.detection(scan)
+    miss = np.log(np.maximum(1.0 + p_d * math.expm1(-0.5 * settings.gate), SURE))
     hits, slots = [], []
     for s in range(2):
         own = S[2 * s : 2 * s + 2, 2 * s : 2 * s + 2]
@@ -43,10 +44,10 @@ def return_weights(predicted: Gaussian, scan: AngleScan, settings: AnglePdaf) ->
         known = settings.clutter_known and scan.clutter_density[s] > 0.0
         density = scan.clutter_density[s] if known else max(len(inside), 1) / area
         slots.append(inside)
-        hits.append(math.log(settings.detection_probability / density))
-    log_w = np.full([len(inside) + 1 for inside in slots], 2.0 * miss)
+        hits.append(math.log(p_d[s] / density))
+    log_w = np.full([len(inside) + 1 for inside in slots], miss.sum())
     for s, row in enumerate((log_w[1:, 0], log_w[0, 1:])):
-        row[:] = hits[s] + miss + _log_normal(nu[s][slots[s]], S[2 * s : 2 * s + 2, 2 * s : 2 * s + 2])
+        row[:] = hits[s] + miss[1 - s] + _log_normal(nu[s][slots[s]], S[2 * s : 2 * s + 2, 2 * s : 2 * s + 2])
     pairs = np.concatenate(
         [np.repeat(nu[0][slots[0]], len(slots[1]), axis=0), np.tile(nu[1][slots[1]], (len(slots[0]), 1))], axis=-1
     )

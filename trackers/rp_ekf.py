@@ -19,8 +19,9 @@ from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.hypotheses import clear_hypothesis, copy_hypothesis, log_threshold, reweight
+from trackers.lone_return import is_lone, take_or_branch
 from trackers.measurement import log_normal, update_into
-from trackers.motion import predict_in_place
+from trackers.motion import predict_into
 from trackers.soft_association import branch_and_update
 from trackers.triangulation import RangeInterval, admissible_crossings, forward_interval
 
@@ -139,9 +140,8 @@ def _predict(x, P, lw, T, q, x_out, P_out):
     for i in range(lw.shape[0]):
         if lw[i] <= PRUNED:
             clear_hypothesis(x_out[i], P_out[i])
-            continue
-        copy_hypothesis(x[i], P[i], x_out[i], P_out[i])
-        predict_in_place(x_out[i], P_out[i], T, q)
+        else:
+            predict_into(x[i], P[i], T, q, x_out[i], P_out[i])
 
 
 def predict(bank: Bank, step_s, velocity_std) -> Bank:
@@ -314,7 +314,8 @@ class RpEkf:
         """Branch every hypothesis over the returns, weighed by the joint assignments (`soft_association`)."""
         if self.reference_only:
             scan = scan.reference_only()
-        *bank, nu, S, assignment, log_likelihood = branch_and_update(
+        condition = take_or_branch if is_lone(state.mean, scan) else branch_and_update
+        *bank, nu, S, assignment, log_likelihood = condition(
             state.mean,
             state.cov,
             state.own_log_weights,

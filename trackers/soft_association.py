@@ -149,7 +149,7 @@ def _near(x, P, other, merge_below):
 
 
 @helper
-def _merge(x, P, lw, own, merge_below, delta):
+def merge(x, P, lw, own, merge_below, delta):
     """Merge branches of one track that lie within `merge_below`, a squared Mahalanobis distance, of a heavier one.
 
     Moments are preserved.
@@ -212,7 +212,7 @@ def _keep_heaviest(x, P, lw, own, x_out, P_out, lw_out, own_out):
 
 
 @helper
-def _cut_tail(lw, own, kept, log_prune):
+def cut_tail(lw, own, kept, log_prune):
     """Prune and renormalise `kept` branches of one option, heaviest first; returns how many are left."""
     left = kept
     while left > 1 and lw[left - 1] < log_prune:
@@ -231,8 +231,8 @@ def _cut_tail(lw, own, kept, log_prune):
 
 
 @helper
-def _close_gaps(x, P, lw, own, kept):
-    """Move what `_merge` left of the first `kept` branches to the front of the bank, clear the places behind."""
+def close_gaps(x, P, lw, own, kept):
+    """Move what `merge` left of the first `kept` branches to the front of the bank, clear the places behind."""
     t = 0
     for i in range(kept):
         if lw[i] > PRUNED:
@@ -307,12 +307,12 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
                 lw[j], log_likelihood[j], k_opt[j], share[j], 1, hit, miss, two, c_opt[j],
                 lw_out[j], own_out[j], parent, option,
             )  # fmt: skip
-            kept = _cut_tail(lw_out[j], own_out[j], kept, log_prune)
+            kept = cut_tail(lw_out[j], own_out[j], kept, log_prune)
             update_branches(
                 x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_out[j], P_out[j]
             )
-            _merge(x_out[j], P_out[j], lw_out[j, :kept], own_out[j, :kept], merge_below, delta)
-            _close_gaps(x_out[j], P_out[j], lw_out[j], own_out[j], kept)
+            merge(x_out[j], P_out[j], lw_out[j, :kept], own_out[j, :kept], merge_below, delta)
+            close_gaps(x_out[j], P_out[j], lw_out[j], own_out[j], kept)
             continue
         kept = _select_branches(
             lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
@@ -329,7 +329,7 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             for i in range(kept):
                 if lw_kept[i] <= PRUNED:
                     own_kept[i] = PRUNED
-            _merge(x_branch, P_branch, lw_kept, own_kept, merge_below, delta)
+            merge(x_branch, P_branch, lw_kept, own_kept, merge_below, delta)
         dropped = _keep_heaviest(x_branch, P_branch, lw_kept, own_kept, x_out[j], P_out[j], lw_out[j], own_out[j])
         if kept > 1:
             reweight(own_out[j], KEEP_ALL)

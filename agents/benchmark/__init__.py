@@ -12,6 +12,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
     measure_decisions,
     measure_memory,
@@ -30,6 +31,7 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "bearing updates": measure_updates,
     "other libraries": measure_rivals,
     "Table 1 Monte Carlo": measure_monte_carlo,
+    "false returns": measure_clutter,
     "vector environment": measure_vector,
     "one platform": measure_one_platform,
     "decisions": measure_decisions,

@@ -22,6 +22,7 @@ from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import turn_and_climb
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import draw
+from passive_env.truth import TruthObservation
 from trackers import ANGLE_TRACKERS
 from trackers.angle_contract import AngleTracker
 from trackers.compiled import kernel
@@ -93,9 +94,7 @@ class AngleFusion(TrackingScenario):
     process_noise_m_s2: float = number(30.0, 0.0, 500.0, "the filter's √q, acceleration per axis")
     gate: float = number(16.0, 1.0, 100.0, "γ₂, squared size of the gates of single sensors")
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
-    outlier_test: str = choice(
-        "none", ("none", "conditioned", "coplanarity"), "test that sets a platform's return aside"
-    )
+    outlier_test: str = choice("off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside")
     reinitiate: bool = flag(False, "whether a track that the tracker finds lost starts anew")
     detection_probability: float = number(1.0, 0.01, 1.0, "of the target by an available sensor, after the first scan")
     availability0_min: float = number(1.0, 0.0, 1.0, "share of scans that platform 0's sensor delivers: least drawn")
@@ -124,6 +123,8 @@ class AngleFusion(TrackingScenario):
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_position_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_position_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_position_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_standoff: float = number(5.0, 0.0, 1e6, "weight; counts only when standoff_m > 0")
 
@@ -134,8 +135,8 @@ class AngleFusion(TrackingScenario):
         if self._returns.false_slots > MOST_FALSE:
             raise self._error(
                 "clutter_density_per_deg2",
-                f"{self._false_mean:.0f} false returns in a window of {2 * self.clutter_window_deg:g}°: lower it or "
-                f"clutter_window_deg = {self.clutter_window_deg}; at most {MOST_FALSE} slots are kept",
+                f"{self._false_mean:.0f} false returns on average and up to {self._returns.false_slots} in a window of "
+                f"{2 * self.clutter_window_deg:g}° are more than {MOST_FALSE}; lower it or clutter_window_deg",
             )
         self._check_standoff()
         self.make_tracker()
@@ -169,7 +170,7 @@ class AngleFusion(TrackingScenario):
             fused_gate=self.fused_gate,
             detection_probability=self.detection_probability,
             clutter_known=self.clutter_known,
-            outlier_test=None if self.outlier_test == "none" else self.outlier_test,
+            outlier_test=None if self.outlier_test == "off" else self.outlier_test,
             reinitiate=self.reinitiate,
         )
 
@@ -181,6 +182,10 @@ class AngleFusion(TrackingScenario):
     def make_observation(self) -> AngleObservation:
         """Observation model."""
         return AngleObservation(self.stations, self.steps)
+
+    def make_truth_observation(self) -> TruthObservation:
+        """What a critic may know in training."""
+        return TruthObservation(self.targets, reference=0)
 
     def make_sensors(self, tracker: AngleTracker) -> AngleSensors:
         """The platforms' sensors; clutter per gate lies where the tracker searches."""

@@ -34,6 +34,8 @@ class TrackingScenario(Scenario):
     flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
     reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_range_error: float = number(0.0, 0.0, 1e6, "weight")
+    reward_final_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_final_log_range_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_information_gain: float = number(0.0, 0.0, 1e6, "weight")

@@ -85,11 +85,10 @@ def _summary(record: Record) -> dict[str, Any]:
     """Range RMSE of the kept runs at the named scans and its mean [m], validated returns, lost share."""
     rmse = record.rmse()
     share, interval = lost_share(record)
-    kept = not record.lost.all()
     return {
         "runs": len(record.lost),
-        "rmse_m": rmse[ROWS].tolist() if kept else None,
-        "time_mean_m": float(rmse.mean()) if kept else None,
+        "rmse_m": rmse[ROWS].tolist(),
+        "time_mean_m": float(rmse.mean()),
         "median_m": float(np.median(np.abs(record.range_error), axis=0).mean()),
         "validated": float(record.validated.mean()),
         "lost": share,

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.catalogue.angle_fusion import PAPER_PLATFORMS, PAPER_TARGET
 from trackers import ANGLE_TRACKERS, AngleFilter, AngleScan
 from trackers.bounds_3d import bound_start, posterior_bound_information_3d, range_std_3d
 from trackers.direction import direction, direction_jacobian, gate
@@ -22,7 +23,6 @@ from trackers.motion_3d import process_noise_3d, transition_3d
 STEP_S = 2.0
 STEPS = 40
 TURN_STEP = 20
-SPEED_M_S = 150.0
 ANGLE_STD = math.radians(0.5)
 PROCESS_NOISE = 30.0
 """√q [m/s²]: the paper's 900 without a unit, as an acceleration's variance."""
@@ -58,18 +58,19 @@ def distance(a, b):
 def paper_paths() -> Paths:
     """Platforms 6 km abreast heading east, platform 1 turning 45° north at once at k = 20; the target flies west."""
     t = STEP_S * np.arange(STEPS + 1)
-    target = np.zeros((STEPS + 1, 6))
-    target[:, :3] = [30e3, -3e3, 8e3]
-    target[:, 0] -= SPEED_M_S * t
-    target[:, 3] = -SPEED_M_S
-    platforms = np.zeros((STEPS + 1, 2, 3))
-    platforms[:, :, 2] = 6e3
-    platforms[:, 1, 1] = -6e3
-    turned = SPEED_M_S * math.sqrt(0.5) * np.maximum(t - t[TURN_STEP], 0.0)
-    platforms[:, 0, 0] = SPEED_M_S * np.minimum(t, t[TURN_STEP]) + turned
-    platforms[:, 0, 1] = turned
-    platforms[:, 1, 0] = SPEED_M_S * t
-    return Paths(target, platforms)
+    target, platforms = (_straight(np.array(start), t) for start in (PAPER_TARGET, PAPER_PLATFORMS))
+    after = np.maximum(t - t[TURN_STEP], 0.0)
+    speed = PAPER_PLATFORMS[0][3]
+    platforms[:, 0, 0] += (math.sqrt(0.5) - 1.0) * speed * after
+    platforms[:, 0, 1] += math.sqrt(0.5) * speed * after
+    return Paths(target, platforms[..., :3])
+
+
+def _straight(start: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """States [k + 1, ..., 6] on a straight course from states [..., 6]."""
+    path = np.tile(start, (len(t), *[1] * start.ndim))
+    path[..., :3] += t.reshape(-1, *[1] * start.ndim) * start[..., 3:]
+    return path
 
 
 PATHS = paper_paths()
@@ -146,10 +147,14 @@ class Record(NamedTuple):
         outside = np.logical_not(self.gated.any(-1))
         return np.any(outside[:, 2:] & outside[:, 1:-1] & outside[:, :-2], axis=-1)
 
-    def rmse(self, kept: bool = True) -> np.ndarray:
-        """Root mean square range error [k] m over the kept runs, or over all."""
-        error = self.range_error[~self.lost] if kept else self.range_error
-        return np.sqrt(np.square(error).mean(0)) if len(error) else np.full(STEPS, np.nan)
+    @property
+    def kept(self) -> Any:
+        """[r] bool, the runs that are not lost; all of them if none is left."""
+        return np.logical_not(self.lost) if not self.lost.all() else np.ones(len(self.lost), dtype=bool)
+
+    def rmse(self) -> np.ndarray:
+        """Root mean square range error [k] m over the kept runs."""
+        return np.sqrt(np.square(self.range_error[self.kept]).mean(0))
 
 
 def follow(trial: Trial, noise: Noise, rng: np.random.Generator) -> Record:
