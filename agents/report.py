@@ -85,7 +85,7 @@ def _figures_table(summary: Mapping[str, Any]) -> list[str]:
     policies, in_space = summary["policies"], summary["score"] == "position"
     zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
     head = ["policy", "final mean", "median", "p95", "time average"]
-    head += ["p95", "lost late", "range final", "range average"] if in_space else []
+    head += ["average p95", "lost late", "range final", "range average"] if in_space else []
     head += ["bound", "lost", "collapsed", "NEES mean / median", *(ZONES[name] for name in zones), "µs/decision"]
     rows = []
     for name, figures in policies.items():
