@@ -227,12 +227,14 @@ def test_sides_in_space_go_by_who_is_left():
 
 @pytest.mark.parametrize(
     ("name", "fields", "angles"),
-    [("AngleFusion", {}, (70.0, 60.0)), ("AngleFusionSlow", {}, (90.0, 75.0)), ("AngleFusionClutter", {}, (60.0, 60.0)),
-     ("AngleFusion", {"clutter_density_per_deg2": 0.01}, (60.0, 60.0))],
+    [("AngleFusion", {}, (70.0, 60.0)), ("AngleFusionSlow", {}, (90.0, 75.0)), ("AngleFusionClutter", {}, (70.0, 60.0)),
+     ("AngleFusion", {"clutter_density_per_deg2": 0.01}, (70.0, 60.0))],
 )  # fmt: skip
 def test_the_rule_in_space_is_tuned_per_variant(name, fields, angles):
-    policy = make_policy("rule", make_scenario(name, fields))
+    scenario = make_scenario(name, fields)
+    policy = make_policy("rule", scenario)
     assert isinstance(policy, HoldOffSight)
+    assert policy._exchange == (scenario != make_scenario("AngleFusion", {}))
     np.testing.assert_allclose(np.degrees(policy._angles), angles)
 
 
