@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import bootstrap, chi2
+from scipy.stats import binomtest, bootstrap, chi2
 from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
@@ -59,6 +59,10 @@ def nees_scale(degrees: int) -> NeesScale:
 
 RESAMPLES = 2000
 
+LATE_STEPS, LATE_ERROR_M = 5, 1e3
+"""A track in space counts as lost if its position error averaged over the last steps exceeds this: Wang, Wang and Yang
+(2004) as specified, "lost A"."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -76,6 +80,9 @@ class Record:
         turns: [e, k, s] turn commands flown, as shares of the limit, left positive.
         standoff, nogo: [e] share of the steps that end with a platform inside a stand-off ring, a no-go disc.
         state_size: numbers of a track's state, the NEES's degrees of freedom.
+        position_error_m, position_crlb_m: as those of the range, in scenarios that are scored by the position.
+        lost_late: [e] share of tracks whose position error, averaged over the last `LATE_STEPS` steps, exceeds
+            `LATE_ERROR_M`; in the same scenarios.
     """
 
     range_error_m: np.ndarray
@@ -90,16 +97,40 @@ class Record:
     standoff: np.ndarray
     nogo: np.ndarray
     state_size: int = 4
+    position_error_m: Any = None
+    position_crlb_m: Any = None
+    lost_late: Any = None
+
+    @property
+    def score(self) -> str:
+        """The error that counts, "range" or "position"."""
+        return "range" if self.position_error_m is None else "position"
+
+    @property
+    def errors(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Per kind of error, the one that counts first: errors and bounds [e, k + 1]."""
+        ranges = {"range": (self.range_error_m, self.range_crlb_m)}
+        return ranges if self.score == "range" else {"position": (self.position_error_m, self.position_crlb_m)} | ranges
+
+    @property
+    def error_m(self) -> np.ndarray:
+        """[e, k + 1] the error that counts."""
+        return self.errors[self.score][0]
+
+    @property
+    def bound_m(self) -> np.ndarray:
+        """[e, k + 1] the bound on it."""
+        return self.errors[self.score][1]
 
     @property
     def final(self) -> np.ndarray:
-        """[e] range error after the last step."""
-        return self.range_error_m[:, -1]
+        """[e] the error that counts after the last step."""
+        return self.error_m[:, -1]
 
     @property
     def mean(self) -> np.ndarray:
-        """[e] range error averaged over all steps after decisions."""
-        return self.range_error_m[:, 1:].mean(axis=1)
+        """[e] the same averaged over all steps after decisions."""
+        return self.error_m[:, 1:].mean(axis=1)
 
 
 def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any = None) -> Record:
@@ -130,7 +161,7 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
-    log = [_instant(env.world, info)]
+    log = [_instant(env.world, info, scenario.score)]
     belief, seconds = env.belief(), 0.0
     _show(policy, env.world)
     policy.reset(belief)
@@ -142,13 +173,14 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         observation, _, _, _, info = env.step(encode(commands))
         belief = env.belief()
         _show(policy, env.world)
-        log.append(_instant(env.world, info))
+        log.append(_instant(env.world, info, scenario.score))
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
     state_size = env.world.truth.shape[-1]
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
-    return {
+    position = {} if scenario.score == "range" else _position(instants.scored_error_m, instants.scored_crlb_m)
+    return position | {
         "range_error_m": instants.range_error_m.mean(-1),
         "range_crlb_m": instants.range_crlb_m.mean(-1),
         "lost": info["lost"].mean(-1),
@@ -160,8 +192,16 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
         "seconds": seconds,
         "state_size": state_size,
-        "paths": _first_paths(instants, env.world, scenario.standoff_m),
+        "paths": _first_paths(instants, env.world, scenario),
     }
+
+
+def _position(errors: np.ndarray, bounds: np.ndarray) -> dict[str, np.ndarray]:
+    """A record's figures of position errors and bounds [e, k + 1, m]."""
+    late = errors[:, 1:][:, -LATE_STEPS:].mean(axis=1) > LATE_ERROR_M
+    return {
+        "position_error_m": errors.mean(-1), "position_crlb_m": bounds.mean(-1), "lost_late": late.mean(-1),
+    }  # fmt: skip
 
 
 class _Instant(NamedTuple):
@@ -169,6 +209,8 @@ class _Instant(NamedTuple):
 
     range_error_m: Any
     range_crlb_m: Any
+    scored_error_m: Any
+    scored_crlb_m: Any
     stations: Any
     estimates: Any
     off_sight_rad: Any
@@ -177,22 +219,23 @@ class _Instant(NamedTuple):
     nogo_violation: Any
 
 
-def _instant(world: World, info: Mapping[str, Any]) -> _Instant:
+def _instant(world: World, info: Mapping[str, Any], score: str) -> _Instant:
     """Of the platforms' and estimates' positions the first episode's only: they are for a picture."""
     turns = world.last_action[:, : world.platforms.shape[1]]
     return _Instant(
-        info["range_error_m"], info["range_crlb_m"], world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
+        info["range_error_m"], info["range_crlb_m"], info[f"{score}_error_m"], info[f"{score}_crlb_m"],
+        world.platforms[:1, :, :2], world.estimate.mean[:1, :, :2],
         wrap(course(world.platforms) - line_of_sight(world.platforms, world.truth)).astype(np.float32),
         np.asarray(turns, dtype=np.float32), info["standoff_violation"], info["nogo_violation"],
     )  # fmt: skip
 
 
-def _first_paths(instants: _Instant, world: World, standoff_m: float) -> EpisodePaths:
+def _first_paths(instants: _Instant, world: World, scenario: Any) -> EpisodePaths:
     """The first episode's geometry; world: its end."""
     return EpisodePaths(
         instants.stations[0], world.tape.targets[0, :, :, :2], instants.estimates[0],
-        world.estimate.cov[0, :, :2, :2], instants.range_error_m[0], instants.range_crlb_m[0], world.tape.discs[0],
-        standoff_m,
+        world.estimate.cov[0, :, :2, :2], instants.scored_error_m[0], instants.scored_crlb_m[0], world.tape.discs[0],
+        scenario.standoff_m, scenario.score,
     )  # fmt: skip
 
 
@@ -225,6 +268,7 @@ def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dic
         "episodes": episodes,
         "seed": seed,
         "state_size": first.state_size,
+        "score": first.score,
         "policies": {name: _figures(record) for name, record in records.items()},
         "ratios": {
             base: {name: _ratios(record, records[base]) for name, record in records.items() if name != base}
@@ -235,18 +279,32 @@ def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dic
 
 def _figures(record: Record) -> dict[str, Any]:
     low, high = nees_scale(record.state_size).band
-    return {
-        "final_range_error_m": _statistics(record.final),
-        "mean_range_error_m": _statistics(record.mean),
-        "lost_share": float(record.lost.mean()),
-        "collapse_share": float(record.collapsed.mean()),
-        "standoff_share": float(record.standoff.mean()),
-        "nogo_share": float(record.nogo.mean()),
-        "final_nees": _statistics(record.nees),
-        "final_nees_in_band_share": float(((record.nees >= low) & (record.nees <= high)).mean()),
-        "final_range_crlb_m": float(record.range_crlb_m[:, -1].mean()),
-        "decision_time_us": record.decision_time_us,
-    }
+    errors = {}
+    for kind, (error, _) in record.errors.items():
+        errors[f"final_{kind}_error_m"] = _statistics(error[:, -1])
+        errors[f"mean_{kind}_error_m"] = _statistics(error[:, 1:].mean(axis=1))
+    bounds = {f"final_{kind}_crlb_m": float(bound[:, -1].mean()) for kind, (_, bound) in record.errors.items()}
+    late = {} if record.lost_late is None else _share(record.lost_late)
+    return (
+        errors
+        | late
+        | {
+            "lost_share": float(record.lost.mean()),
+            "collapse_share": float(record.collapsed.mean()),
+            "standoff_share": float(record.standoff.mean()),
+            "nogo_share": float(record.nogo.mean()),
+            "final_nees": _statistics(record.nees),
+            "final_nees_in_band_share": float(((record.nees >= low) & (record.nees <= high)).mean()),
+        }
+        | bounds
+        | {"decision_time_us": record.decision_time_us}
+    )
+
+
+def _share(lost: np.ndarray) -> dict[str, Any]:
+    """Share of lost tracks with its Wilson 95 % interval, each episode's tracks counting as one."""
+    interval = binomtest(round(float(lost.sum())), len(lost)).proportion_ci(method="wilson")
+    return {"lost_late_share": float(lost.mean()), "lost_late_ci95": [float(interval.low), float(interval.high)]}
 
 
 def _statistics(values: np.ndarray) -> dict[str, float]:
@@ -259,10 +317,14 @@ def _statistics(values: np.ndarray) -> dict[str, float]:
 
 
 def _ratios(record: Record, base: Record) -> dict[str, Any]:
-    return {
-        "final_range_error_m": ratio_of_means(record.final, base.final),
-        "mean_range_error_m": ratio_of_means(record.mean, base.mean),
-    }
+    ratios = {}
+    for kind, (error, _) in record.errors.items():
+        other = base.errors[kind][0]
+        ratios[f"final_{kind}_error_m"] = ratio_of_means(error[:, -1], other[:, -1])
+        ratios[f"mean_{kind}_error_m"] = ratio_of_means(error[:, 1:].mean(axis=1), other[:, 1:].mean(axis=1))
+    if record.lost_late is not None:
+        ratios["lost_late_share"] = difference_of_means(record.lost_late, base.lost_late)
+    return ratios
 
 
 def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[str, Any]:
@@ -275,11 +337,24 @@ def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[
         {"ratio", "ci95": [low, high]}; a single episode has no interval: both ends are the ratio.
     """
     ratio = float(values.mean() / base.mean())
+    interval = _paired_interval(values, base, lambda a, b, axis: a.mean(axis) / b.mean(axis), seed)
+    return {"ratio": ratio, "ci95": interval or [ratio, ratio]}
+
+
+def difference_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[str, Any]:
+    """The same of the difference of two paired shares, of which the other may be 0: {"difference", "ci95"}."""
+    difference = float(values.mean() - base.mean())
+    interval = _paired_interval(values, base, lambda a, b, axis: a.mean(axis) - b.mean(axis), seed)
+    return {"difference": difference, "ci95": interval or [difference, difference]}
+
+
+def _paired_interval(values: np.ndarray, base: np.ndarray, statistic: Any, seed: int) -> list[float]:
+    """Percentile bootstrap 95 % interval of a statistic of paired samples; empty for a single episode."""
     if len(values) < 2:
-        return {"ratio": ratio, "ci95": [ratio, ratio]}
+        return []
     result = bootstrap(
         (values, base),
-        lambda a, b, axis: a.mean(axis) / b.mean(axis),
+        statistic,
         paired=True,
         vectorized=True,
         n_resamples=RESAMPLES,
@@ -288,7 +363,7 @@ def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[
         rng=np.random.default_rng(seed),
     )
     low, high = result.confidence_interval
-    return {"ratio": ratio, "ci95": [float(low), float(high)]}
+    return [float(low), float(high)]
 
 
 def steps_axis(scenario: Any) -> np.ndarray:

@@ -38,58 +38,63 @@ class EpisodePaths(NamedTuple):
         targets: [k + 1, m, 2] m, true positions.
         estimates: [k + 1, m, 2] m, estimated positions.
         final_cov: [m, 2, 2] m², position covariances of the last estimates.
-        range_error_m: [k + 1, m] |estimated − true range| from the reference.
-        range_crlb_m: [k + 1, m] posterior Cramér–Rao bound on the range, a standard deviation.
+        error_m: [k + 1, m] the tracks' errors, of the kind that `error` names.
+        bound_m: [k + 1, m] posterior Cramér–Rao bound on them, a standard deviation.
         discs: [d, 3] no-go discs: centre x, y and radius [m].
         standoff_m: radius of the targets' stand-off rings, 0 for none.
+        error: "range" (from the reference) or "position".
     """
 
     stations: Any
     targets: Any
     estimates: Any
     final_cov: Any
-    range_error_m: Any
-    range_crlb_m: Any
+    error_m: Any
+    bound_m: Any
     discs: Any = np.empty((0, 3))
     standoff_m: float = 0.0
+    error: str = "range"
 
 
-# -- range error over time ---------------------------------------------------------------------------------------------
+# -- error over time ---------------------------------------------------------------------------------------------------
 
 
-def range_error_over_time(
-    time_s: Any, curves: Mapping[str, Any], bound: Mapping[str, Any] | None, title: str
+def error_over_time(
+    time_s: Any, curves: Mapping[str, Any], bound: Mapping[str, Any] | None, title: str, error: str = "range"
 ) -> Figure:
-    """Mean range error of several policies over time, on a logarithmic axis.
+    """Mean error of several policies over time, on a logarithmic axis.
 
     The bound is a standard deviation: the mean absolute error of an efficient Gaussian estimator is √(2/π) ≈ 0.8 of it.
 
     Args:
         time_s: [k + 1] s.
-        curves: per policy, mean range error [k + 1] m.
+        curves: per policy, mean error [k + 1] m.
         bound: per policy (those that have one), Cramér–Rao bound [k + 1] m, drawn dashed in the policy's colour.
         title: of the figure.
+        error: what kind of error it is, "range" or "position".
     Raises:
         ValueError: no curve, a curve of another length than time_s, or a bound of an unknown policy.
     """
     bound = bound or {}
     _check_curves(time_s, curves, bound)
     figure = Figure(figsize=(8.0, 4.6), dpi=DPI, layout="constrained")
-    axes = _plain_axes(figure, title, "time [s]", "mean range error [km]")
-    for i, (name, error) in enumerate(curves.items()):
-        axes.plot(time_s, 1e-3 * np.asarray(error), color=curve_color(i), **ERROR_LINE)
+    axes = _plain_axes(figure, title, "time [s]", f"mean {error} error [km]")
+    for i, (name, curve) in enumerate(curves.items()):
+        axes.plot(time_s, 1e-3 * np.asarray(curve), color=curve_color(i), **ERROR_LINE)
         if name in bound:
             axes.plot(time_s, 1e-3 * np.asarray(bound[name]), color=curve_color(i), **BOUND_LINE)
     _log_ticks(axes.yaxis, axes.set_yscale)
     axes.set_xlim(time_s[0], time_s[-1])
-    _label_ends(axes, time_s[-1], {name: 1e-3 * float(error[-1]) for name, error in curves.items()})
+    _label_ends(axes, time_s[-1], {name: 1e-3 * float(curve[-1]) for name, curve in curves.items()})
     if bound:
-        axes.legend(handles=_error_samples(), loc="best", fontsize=9, frameon=True, edgecolor="none", labelcolor=INK)
+        axes.legend(
+            handles=_error_samples(error), loc="best", fontsize=9, frameon=True, edgecolor="none", labelcolor=INK
+        )
     return figure
 
 
-def _error_samples() -> list[Line2D]:
-    samples = [("range error", ERROR_LINE), ("Cramér–Rao bound, 1σ", BOUND_LINE)]
+def _error_samples(error: str) -> list[Line2D]:
+    samples = [(f"{error} error", ERROR_LINE), ("Cramér–Rao bound, 1σ", BOUND_LINE)]
     return [Line2D([], [], color=MUTED, label=name, **style) for name, style in samples]
 
 
@@ -126,7 +131,7 @@ def _label_ends(axes: Axes, at: float, ends_km: Mapping[str, float]) -> None:
 
 
 def geometry(time_s: Any, paths: Mapping[str, EpisodePaths], title: str) -> Figure:
-    """Paths of stations and targets and the final estimates; below, range error and Cramér–Rao bound over time.
+    """Paths of stations and targets and the final estimates; below, error and Cramér–Rao bound over time.
 
     One panel per policy, all maps on the same axes and all diagrams on the same axes.
 
@@ -135,15 +140,15 @@ def geometry(time_s: Any, paths: Mapping[str, EpisodePaths], title: str) -> Figu
         paths: per policy, one episode; same tape, so that the panels differ by the policy only.
         title: of the figure.
     Raises:
-        ValueError: no policy, or range errors or bounds of another shape than [k + 1, m].
+        ValueError: no policy, or errors or bounds of another shape than [k + 1, m].
     """
     _check_paths(time_s, paths)
-    figure, maps, diagrams = _panels(len(paths))
+    figure, maps, diagrams = _panels(len(paths), next(iter(paths.values())).error)
     frame, limits = _common_frame(paths), _common_errors_km(paths)
     for axes, below, (name, episode) in zip(maps, diagrams, paths.items(), strict=True):
         _panel(axes, episode, frame)
         _errors_below(below, time_s, episode, limits)
-        final = render.kilometres(np.mean(episode.range_error_m[-1]))
+        final = render.kilometres(np.mean(episode.error_m[-1]))
         axes.set_title(f"{name}: {final} off at the end", fontsize=11.5, color=INK)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.12 / figure.get_figheight(), va="top")
     samples = _geometry_samples(next(iter(paths.values())))
@@ -157,7 +162,7 @@ def _check_paths(time_s: Any, paths: Mapping[str, EpisodePaths]) -> None:
         raise ValueError("paths: needs at least one policy")
     for name, episode in paths.items():
         wanted = (len(time_s), np.shape(episode.targets)[1])
-        for field in ("range_error_m", "range_crlb_m"):
+        for field in ("error_m", "bound_m"):
             if np.shape(getattr(episode, field)) != wanted:
                 found = np.shape(getattr(episode, field))
                 raise ValueError(f"paths[{name!r}].{field} has shape {found}, must be [instants, targets] = {wanted}")
@@ -167,10 +172,10 @@ def _geometry_samples(episode: EpisodePaths) -> list[Any]:
     several = np.shape(episode.stations)[1] > 1
     samples = render.legend_samples(hypotheses=False, reference=several)[:4]
     samples += render.zone_samples(len(episode.discs) > 0, episode.standoff_m > 0.0)
-    return [*samples, *_error_samples()]
+    return [*samples, *_error_samples(episode.error)]
 
 
-def _panels(count: int) -> tuple[Figure, list[Axes], list[Axes]]:
+def _panels(count: int, error: str) -> tuple[Figure, list[Axes], list[Axes]]:
     """A figure of equal square maps, each with a diagram below, laid out in inches; only outer ones carry labels."""
     columns = {1: 1, 2: 2, 4: 2, 7: 4, 8: 4}.get(count, 3)
     rows = math.ceil(count / columns)
@@ -186,7 +191,7 @@ def _panels(count: int) -> tuple[Figure, list[Axes], list[Axes]]:
         axes = axes_at(figure, x, y + DIAGRAM_IN + gap, PANEL_IN, PANEL_IN)
         render.style_axes(axes)
         below = axes_at(figure, x, y, PANEL_IN, DIAGRAM_IN)
-        style_diagram(below, "time [s]", "range error [km]")
+        style_diagram(below, "time [s]", f"{error} error [km]")
         if column > 0:
             _hide_left_labels(axes, below)
         if i + columns < count:
@@ -204,7 +209,7 @@ def _hide_left_labels(*panels: Axes) -> None:
 
 def _common_errors_km(paths: Mapping[str, EpisodePaths]) -> tuple[float, float]:
     """Limits [km] that hold all bounds and the errors that are not near one of their passages through zero."""
-    drawn = [np.ravel(part) for episode in paths.values() for part in (episode.range_error_m, episode.range_crlb_m)]
+    drawn = [np.ravel(part) for episode in paths.values() for part in (episode.error_m, episode.bound_m)]
     values = 1e-3 * np.concatenate(drawn)
     values = values[np.isfinite(values) & (values > 0.0)]
     if not len(values):
@@ -214,8 +219,8 @@ def _common_errors_km(paths: Mapping[str, EpisodePaths]) -> tuple[float, float]:
 
 def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[float, float]) -> None:
     axes.set_ylim(*limits)
-    line: dict[str, Any] = ERROR_LINE if np.shape(episode.range_error_m)[1] == 1 else ERROR_LINE | {"linewidth": 1.4}
-    errors = zip(np.transpose(episode.range_error_m), np.transpose(episode.range_crlb_m), strict=True)
+    line: dict[str, Any] = ERROR_LINE if np.shape(episode.error_m)[1] == 1 else ERROR_LINE | {"linewidth": 1.4}
+    errors = zip(np.transpose(episode.error_m), np.transpose(episode.bound_m), strict=True)
     for j, (error, bound) in enumerate(errors):
         axes.plot(time_s, 1e-3 * error, color=series_color(j), **line)
         axes.plot(time_s, 1e-3 * bound, color=series_color(j), **BOUND_LINE)

@@ -63,8 +63,8 @@ def sees_world(policy: Any) -> bool:
 def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
     from agents.fixed import PAPER, PAPER_IN_SPACE, STEADY
-    from agents.greedy import GREEDY
-    from agents.planner import PLANNERS
+    from agents.greedy import GREEDY, GREEDY_IN_SPACE
+    from agents.planner import PLANNERS, PLANNERS_IN_SPACE
     from agents.rules import IN_SPACE, ONE_PLATFORM, TURN_APART
 
     searching = {**GREEDY, **PLANNERS}
@@ -72,6 +72,6 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
-        AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **searching},
+        AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

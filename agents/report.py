@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from agents import pictures
-from agents.evaluation import COLLAPSE_M, Record, nees_scale, steps_axis
+from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
 
-METRICS = {"final_range_error_m": "final", "mean_range_error_m": "time average"}
+METRICS = {"final": "final", "mean": "time average"}
 """The errors that are compared, and their names in tables."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
@@ -23,11 +23,13 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
     """Write ``evaluation.json``, ``.csv``, ``.md`` and the pictures into a folder; returns the files."""
     title = f"{summary['environment']}, {summary['episodes']} episodes"
     times = steps_axis(scenario)
-    over_time = pictures.range_error_over_time(
+    score = summary["score"]
+    over_time = pictures.error_over_time(
         times,
-        {name: record.range_error_m.mean(0) for name, record in records.items()},
-        {name: record.range_crlb_m.mean(0) for name, record in records.items()},
+        {name: record.error_m.mean(0) for name, record in records.items()},
+        {name: record.bound_m.mean(0) for name, record in records.items()},
         title,
+        score,
     )
     paths = {name: record.paths for name, record in records.items()}
     geometry = pictures.geometry(times, paths, f"{title}: the first one")
@@ -37,7 +39,7 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
         write_json(out / "evaluation.json", summary),
         atomic_write(out / "evaluation.csv", as_csv(summary)),
         write_text(out / "evaluation.md", as_markdown(summary)),
-        save_figure(out / "range_error_over_time.png", over_time),
+        save_figure(out / f"{score}_error_over_time.png", over_time),
         save_figure(out / "geometry.png", geometry),
         save_figure(out / "maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs")),
     ]
@@ -48,7 +50,7 @@ def as_csv(summary: Mapping[str, Any]) -> str:
     rows = [{"policy": name, **_flatten(figures)} for name, figures in summary["policies"].items()]
     for row in rows:
         for base, ratios in summary["ratios"].items():
-            for metric in METRICS:
+            for metric in _metrics(summary):
                 ratio = ratios.get(row["policy"], {}).get(metric)
                 low, high = ratio["ci95"] if ratio else (None, None)
                 name = f"{metric}_over_{base}"
@@ -60,9 +62,16 @@ def as_csv(summary: Mapping[str, Any]) -> str:
     return buffer.getvalue()
 
 
+def _metrics(summary: Mapping[str, Any]) -> list[str]:
+    """Names of the errors that count."""
+    return [f"{when}_{summary['score']}_error_m" for when in METRICS]
+
+
 def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in figures.items():
+        if isinstance(value, list):
+            value = dict(zip(("low", "high"), value, strict=True))
         flat |= {f"{name}_{key}": v for key, v in value.items()} if isinstance(value, Mapping) else {name: value}
     return flat
 
@@ -73,16 +82,20 @@ def as_markdown(summary: Mapping[str, Any]) -> str:
 
 
 def _figures_table(summary: Mapping[str, Any]) -> list[str]:
-    policies = summary["policies"]
+    policies, in_space = summary["policies"], summary["score"] == "position"
     zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
-    head = ["policy", "final mean", "median", "p95", "time average", "bound", "lost", "collapsed"]
-    head += ["NEES mean / median"]
-    head += [*(ZONES[name] for name in zones), "µs/decision"]
+    head = ["policy", "final mean", "median", "p95", "time average"]
+    head += ["average p95", "lost late", "range final", "range average"] if in_space else []
+    head += ["bound", "lost", "collapsed", "NEES mean / median", *(ZONES[name] for name in zones), "µs/decision"]
     rows = []
     for name, figures in policies.items():
-        final, mean = figures["final_range_error_m"], figures["mean_range_error_m"]
+        final, mean = (figures[metric] for metric in _metrics(summary))
         cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
-        cells += [f"{figures['final_range_crlb_m']:.0f}", _percent(figures["lost_share"])]
+        if in_space:
+            ranges = (figures[f"{when}_range_error_m"]["mean"] for when in METRICS)
+            cells += [f"{mean['p95']:.0f}", _percent(figures["lost_late_share"]), *(f"{value:.0f}" for value in ranges)]
+        bound = figures[f"final_{summary['score']}_crlb_m"]
+        cells += [f"{bound:.0f}", _percent(figures["lost_share"])]
         nees = figures["final_nees"]
         cells += [_percent(figures["collapse_share"]), f"{nees['mean']:.1f} / {nees['median']:.1f}"]
         cells += [*(_percent(figures[zone]) for zone in zones), f"{figures['decision_time_us']:.2f}"]
@@ -91,13 +104,15 @@ def _figures_table(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _ratios_table(summary: Mapping[str, Any]) -> list[str]:
-    """Two rows per policy, final and time-averaged error; one column per baseline."""
+    """A row per policy and error that counts, and for positions one of lost tracks; one column per baseline."""
     bases = list(summary["ratios"])
-    rows = [
-        [name, METRICS[metric], *(_ratio_cell(summary["ratios"][base].get(name), metric) for base in bases)]
-        for name in summary["policies"]
-        for metric in METRICS
-    ]
+    rows = []
+    for name in summary["policies"]:
+        compared = [summary["ratios"][base].get(name) for base in bases]
+        for metric, words in zip(_metrics(summary), METRICS.values(), strict=True):
+            rows.append([name, words, *(_ratio_cell(ratios, metric) for ratios in compared)])
+        if summary["score"] == "position":
+            rows.append([name, "lost late, less base", *(_difference_cell(ratios) for ratios in compared)])
     return _table(["policy", "error", *(f"/ {base}" for base in bases)], rows)
 
 
@@ -109,14 +124,20 @@ def _table(head: list[str], rows: list[list[str]]) -> list[str]:
 def _note(summary: Mapping[str, Any]) -> str:
     honest = nees_scale(summary["state_size"])
     return (
-        f"{summary['environment']}: range error in metres over {summary['episodes']} paired episodes from seed "
-        f"{summary['seed']}, mean over targets. Bound: posterior Cramér–Rao bound at the end, mean; it is a standard "
-        "deviation (a mean absolute error may lie 20 % below it) for targets as restless as the filter assumes (those "
-        "that fly straight for long can be ranged better). Collapsed: ends more than "
+        f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
+        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}Bound: posterior Cramér–Rao bound at the "
+        "end, mean; it is a standard deviation (a mean absolute error may lie 20 % below it) for targets as restless "
+        "as the filter assumes (those that fly straight for long can be ranged better). Collapsed: ends more than "
         f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {honest.collapse:.1f}, its 99.99 % quantile. NEES: at the "
         f"end; an honest tracker has mean {honest.degrees} and median {honest.median:.1f}, a cautious one less. "
         "Below: ratios of means to every baseline's, with paired bootstrap 95 % intervals."
     )
+
+
+def _late_note(summary: Mapping[str, Any]) -> str:
+    if summary["score"] == "range":
+        return ""
+    return f"Lost late: more than {LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps. "
 
 
 def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[Path]:
@@ -128,21 +149,21 @@ def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[P
 
 
 def crossing_as_markdown(summaries: Mapping[str, Mapping[str, Any]]) -> str:
-    """Mean final range error [m] and lost share, one row per policy, one column per tracker."""
+    """Mean final error [m] and lost share, one row per policy, one column per tracker."""
     trackers, first = list(summaries), next(iter(summaries.values()))
     lines = ["| policy | " + " | ".join(trackers) + " |", "|" + "---|" * (1 + len(trackers))]
     for policy in first["policies"]:
-        cells = [_crossing_cell(summaries[tracker]["policies"][policy]) for tracker in trackers]
+        cells = [_crossing_cell(summaries[tracker]["policies"][policy], first["score"]) for tracker in trackers]
         lines.append(f"| {policy} | " + " | ".join(cells) + " |")
     note = (
-        f"{first['environment']}: mean final range error in metres and share of lost tracks, the same "
+        f"{first['environment']}: mean final {first['score']} error in metres and share of lost tracks, the same "
         f"{first['episodes']} tapes from seed {first['seed']} for every cell."
     )
     return "\n".join([*lines, "", note])
 
 
-def _crossing_cell(figures: Mapping[str, Any]) -> str:
-    return f"{figures['final_range_error_m']['mean']:.0f} ({_percent(figures['lost_share'])} lost)"
+def _crossing_cell(figures: Mapping[str, Any], score: str) -> str:
+    return f"{figures[f'final_{score}_error_m']['mean']:.0f} ({_percent(figures['lost_share'])} lost)"
 
 
 def _percent(share: float) -> str:
@@ -154,3 +175,12 @@ def _ratio_cell(ratios: Mapping[str, Any] | None, metric: str) -> str:
         return "1"
     low, high = ratios[metric]["ci95"]
     return f"{ratios[metric]['ratio']:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _difference_cell(ratios: Mapping[str, Any] | None) -> str:
+    """Percentage points."""
+    if ratios is None:
+        return "0"
+    lost = ratios["lost_late_share"]
+    low, high = (100.0 * end for end in lost["ci95"])
+    return f"{100.0 * lost['difference']:+.1f} [{low:+.1f}, {high:+.1f}] points"

@@ -223,7 +223,7 @@ class Checkpoints(BaseCallback):
             self.logger.record("rollout/final_range_error_m", float(np.mean(final)))
 
     def _evaluate(self) -> None:
-        """Mean final range error on fixed tapes, and its ratio to the references."""
+        """Mean final error on fixed tapes, of the kind that counts, and its ratio to the references."""
         scenario = self._run.scenario
         if not self._references:
             for name in (known for known in REFERENCES if known in policy_names(scenario)):
@@ -233,7 +233,7 @@ class Checkpoints(BaseCallback):
             scenario, ModelPolicy(_flown(self.model), Simulation(scenario)), EVALUATION_EPISODES, EVALUATION_SEED
         )
         error = float(record.final.mean())
-        self.logger.record("eval/final_range_error_m", error)
+        self.logger.record(f"eval/final_{scenario.score}_error_m", error)
         for name, reference in self._references.items():
             self.logger.record(f"eval/ratio_to_{name}", error / reference)
 

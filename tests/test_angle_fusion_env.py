@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom, kstest, norm, poisson
 
 from agents.evaluation import fly as fly_policy
-from agents.policy import make_policy, policy_names
+from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.angle_sensors import CLEAN_DENSITY
 from passive_env.catalogue import make_scenario
@@ -652,10 +652,9 @@ def test_sub_environments_are_single_environments_whatever_the_width(fields):
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_only_policies_that_look_at_nothing_are_offered_and_they_fly(name):
+def test_policies_that_look_at_nothing_fly(name):
     scenario = make_scenario(name, {"steps": 6})
-    assert policy_names(scenario) == ["straight", "random"]
-    for policy in policy_names(scenario):
+    for policy in ("straight", "random"):
         record = fly_policy(scenario, make_policy(policy, scenario), 12, seed=0)
         assert record.state_size == 6
         assert record.turns.shape == (12, 6, 2)

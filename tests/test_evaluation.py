@@ -10,14 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from markdown_tables import tables
-from scipy.stats import binom, chi2
+from scipy.stats import binom, chi2, norm
 
 from agents import cli, evaluation
-from agents.evaluation import Record, fly, fly_all, ratio_of_means, steps_axis, summarize, unique_names
+from agents.evaluation import (
+    Record,
+    difference_of_means,
+    fly,
+    fly_all,
+    ratio_of_means,
+    steps_axis,
+    summarize,
+    unique_names,
+)
 from agents.pictures import EpisodePaths
 from agents.policy import make_policy, policy_names
 from agents.report import as_csv, as_markdown, write_evaluation
 from passive_env import PassiveVectorEnv
+from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.scenario import parse_fields
@@ -295,6 +305,91 @@ def test_names_of_several_learned_policies_are_numbered():
 
 def test_time_axis():
     assert steps_axis(TwoStation(steps=3, step_s=0.5)).tolist() == [0.0, 0.5, 1.0, 1.5]
+
+
+# ------------------------------------------------------------------------------------------------ positions in space
+
+
+def test_in_space_the_position_error_counts_and_the_range_error_stands_beside_it():
+    """The record against a loop of one's own over the same episodes."""
+    scenario = AngleFusion(steps=8, clutter_mean=4.0)
+    flown = fly(scenario, make_policy("rule", scenario), 5, 3)
+    env = PassiveVectorEnv(scenario, num_envs=5, autoreset_mode="disabled")
+    observation, info = env.reset(seed=3)
+    policy = make_policy("rule", scenario)
+    policy.reset(env.belief())
+    told = [info]
+    for _ in range(8):
+        observation, *_, info = env.step(policy.act(env.belief(), observation))
+        told.append(info)
+    for name in ("position_error_m", "position_crlb_m", "range_error_m", "range_crlb_m"):
+        np.testing.assert_allclose(getattr(flown, name), np.stack([info[name][:, 0] for info in told], axis=1))
+    assert flown.score == "position"
+    assert np.array_equal(flown.final, flown.position_error_m[:, -1])
+    assert np.array_equal(flown.mean, flown.position_error_m[:, 1:].mean(axis=1))
+    late = np.stack([info["position_error_m"][:, 0] for info in told[-5:]]).mean(axis=0)
+    assert np.array_equal(flown.lost_late, late > 1000.0)
+    assert np.array_equal(flown.paths.error_m[:, 0], flown.position_error_m[0])
+    assert flown.paths.error == "position"
+    assert fly(SHORT, make_policy("rule", SHORT), 2, 0).score == "range"
+
+
+def test_summary_in_space_has_both_errors_and_late_losses_with_their_intervals():
+    scenario = AngleFusion(steps=6)
+    records = fly_all(scenario, policies(scenario, "paper", "rule", "straight"), 20, 9, progress=False)
+    summary = summarize("passive/AngleFusion-v0", 9, records)
+    assert summary["score"] == "position"
+    for name, figures in summary["policies"].items():
+        for kind in ("position", "range"):
+            errors = getattr(records[name], f"{kind}_error_m")
+            assert figures[f"final_{kind}_error_m"]["mean"] == errors[:, -1].mean()
+            assert figures[f"mean_{kind}_error_m"]["p95"] == np.percentile(errors[:, 1:].mean(axis=1), 95.0)
+        share, n, z = figures["lost_late_share"], 20, norm.ppf(0.975)
+        middle, half = share + z * z / (2 * n), z * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+        wilson = (np.array([middle - half, middle + half]) / (1 + z * z / n)).tolist()
+        assert figures["lost_late_ci95"] == pytest.approx(wilson, abs=1e-9)
+    for compared in summary["ratios"].values():
+        for ratios in compared.values():
+            assert set(ratios) == {
+                "final_position_error_m", "mean_position_error_m", "final_range_error_m", "mean_range_error_m",
+                "lost_late_share",
+            }  # fmt: skip
+    json.dumps(summary, allow_nan=False)
+
+
+def test_files_in_space_show_the_position(tmp_path):
+    scenario = AngleFusion(steps=6)
+    records = fly_all(scenario, policies(scenario, "paper", "rule", "straight"), 4, 0, progress=False)
+    summary = summarize("passive/AngleFusion-v0", 0, records)
+    written = {path.name for path in write_evaluation(tmp_path, summary, records, scenario)}
+    assert written == (FILES - {"range_error_over_time.png"}) | {"position_error_over_time.png"}
+    figures, ratios = tables(as_markdown(summary))
+    shown, told = dict(zip(figures[0], figures[2], strict=True)), summary["policies"]["rule"]
+    assert shown["final mean"] == f"{told['final_position_error_m']['mean']:.0f}"
+    assert shown["time average"] == f"{told['mean_position_error_m']['mean']:.0f}"
+    assert shown["average p95"] == f"{told['mean_position_error_m']['p95']:.0f}"
+    assert shown["range final"] == f"{told['final_range_error_m']['mean']:.0f}"
+    assert shown["range average"] == f"{told['mean_range_error_m']['mean']:.0f}"
+    assert shown["lost late"] == f"{100 * told['lost_late_share']:.2f} %"
+    assert shown["bound"] == f"{told['final_position_crlb_m']:.0f}"
+    assert [row[1] for row in ratios[1:4]] == ["final", "time average", "lost late, less base"]
+    ratio = summary["ratios"]["rule"]["straight"]["final_position_error_m"]
+    found = {(row[0], row[1]): dict(zip(ratios[0], row, strict=True)) for row in ratios[1:]}
+    assert found["straight", "final"]["/ rule"].startswith(f"{ratio['ratio']:.3f} [")
+    rows = list(csv.DictReader((tmp_path / "evaluation.csv").read_text().splitlines()))
+    assert float(rows[2]["final_position_error_m_over_rule"]) == ratio["ratio"]
+    assert float(rows[1]["lost_late_ci95_high"]) == told["lost_late_ci95"][1]
+
+
+def test_difference_of_paired_shares_may_be_taken_to_none():
+    lost = np.array([1.0, 0.0, 1.0, 0.0] * 50)
+    compared = difference_of_means(lost, np.zeros(200))
+    low, high = compared["ci95"]
+    half = norm.ppf(0.975) * np.sqrt(0.25 / 200)
+    assert compared["difference"] == 0.5
+    assert [low, high] == pytest.approx([0.5 - half, 0.5 + half], abs=0.015)
+    assert difference_of_means(lost, lost) == {"difference": 0.0, "ci95": [0.0, 0.0]}
+    assert difference_of_means(lost[:1], np.zeros(1)) == {"difference": 1.0, "ci95": [1.0, 1.0]}
 
 
 # ------------------------------------------------------------------------------------------------ files

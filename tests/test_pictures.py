@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from agents.maneuvers import Maneuvers, angle_quantiles_deg, first_side_share, leg_steps, maneuvers
-from agents.pictures import LABEL_GAP, EpisodePaths, geometry, range_error_over_time, ratio_chart, reward_curve
+from agents.pictures import LABEL_GAP, EpisodePaths, error_over_time, geometry, ratio_chart, reward_curve
 from passive_env.palette import BAD, GOOD, MUTED, SERIES
 
 TIME_S = np.arange(46) * 2.0
@@ -50,7 +50,7 @@ def episode(turn: float = 0.0, far: bool = False) -> EpisodePaths:
 
 
 def test_range_error_names_every_policy_with_its_final_error():
-    figure = range_error_over_time(TIME_S, {"rule": decay(2e3), "learned": decay(1.5e3)}, {"rule": decay(1e3)}, "Title")
+    figure = error_over_time(TIME_S, {"rule": decay(2e3), "learned": decay(1.5e3)}, {"rule": decay(1e3)}, "Title")
     assert_is_picture(figure)
     axes = figure.axes[0]
     assert [text.get_text() for text in axes.texts] == ["learned, 1.57 km", "rule, 2.07 km"]
@@ -61,7 +61,7 @@ def test_range_error_names_every_policy_with_its_final_error():
 
 def test_labels_of_equal_curves_stand_apart():
     curves = {f"policy {i}": decay(2e3 + i) for i in range(6)}
-    figure = range_error_over_time(TIME_S, curves, None, "Title")
+    figure = error_over_time(TIME_S, curves, None, "Title")
     heights = np.sort([text.xyann[1] for text in figure.axes[0].texts])
     assert (np.diff(heights) > LABEL_GAP - 1e-9).all()
     picture = assert_is_picture(figure)
@@ -73,7 +73,7 @@ def test_labels_of_equal_curves_stand_apart():
 def test_a_curve_that_ends_in_nan_is_still_drawn():
     broken = decay(2e3)
     broken[30:] = np.nan
-    assert_is_picture(range_error_over_time(TIME_S, {"sound": decay(1e3), "broken": broken}, None, "Title"))
+    assert_is_picture(error_over_time(TIME_S, {"sound": decay(1e3), "broken": broken}, None, "Title"))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_curve_that_ends_in_nan_is_still_drawn():
 )
 def test_range_error_says_what_is_wrong(curves, bound, message):
     with pytest.raises(ValueError, match=message):
-        range_error_over_time(TIME_S, curves, bound, "Title")
+        error_over_time(TIME_S, curves, bound, "Title")
 
 
 # ------------------------------------------------------------------------------------------------ geometry
@@ -128,18 +128,18 @@ def assert_apart(figure: Figure) -> None:
 
 
 def test_error_and_bound_of_every_target_stand_below_its_map():
-    shown = episode()._replace(range_error_m=np.outer(decay(2e3), [1.0, 2.0, 3.0]))
+    shown = episode()._replace(error_m=np.outer(decay(2e3), [1.0, 2.0, 3.0]))
     below = geometry(TIME_S, {"x": shown}, "Title").axes[1]
     errors, bounds = below.lines[::2], below.lines[1::2]
     assert [line.get_color() for line in errors] == [line.get_color() for line in bounds] == list(SERIES[:3])
-    assert [line.get_ydata()[-1] for line in errors] == pytest.approx(1e-3 * shown.range_error_m[-1])
+    assert [line.get_ydata()[-1] for line in errors] == pytest.approx(1e-3 * shown.error_m[-1])
     assert [line.get_ydata()[-1] for line in bounds] == [0.5, 0.5, 0.5]
     assert {line.get_linestyle() for line in errors} == {"-"}
     assert {line.get_linestyle() for line in bounds} == {"--"}
 
 
 def test_a_perfect_estimate_is_drawn():
-    assert_is_picture(geometry(TIME_S, {"x": episode()._replace(range_error_m=np.zeros((46, 3)))}, "Title"))
+    assert_is_picture(geometry(TIME_S, {"x": episode()._replace(error_m=np.zeros((46, 3)))}, "Title"))
 
 
 def test_zones_are_drawn_and_named_where_there_are_any():
@@ -157,8 +157,8 @@ def test_zones_are_drawn_and_named_where_there_are_any():
 
 
 def test_geometry_says_which_figures_do_not_fit():
-    cut = episode()._replace(range_crlb_m=np.ones((45, 3)))
-    with pytest.raises(ValueError, match=r"paths\['b'\]\.range_crlb_m has shape \(45, 3\), must be .* \(46, 3\)"):
+    cut = episode()._replace(bound_m=np.ones((45, 3)))
+    with pytest.raises(ValueError, match=r"paths\['b'\]\.bound_m has shape \(45, 3\), must be .* \(46, 3\)"):
         geometry(TIME_S, {"a": episode(), "b": cut}, "Title")
 
 
@@ -195,9 +195,7 @@ def test_number_of_a_target_keeps_clear_of_the_note_on_its_estimate():
 
 def test_geometry_of_one_instant():
     whole = episode()
-    at_start = EpisodePaths(
-        *(part[:1] for part in whole[:3]), whole.final_cov, whole.range_error_m[:1], whole.range_crlb_m[:1]
-    )
+    at_start = EpisodePaths(*(part[:1] for part in whole[:3]), whole.final_cov, whole.error_m[:1], whole.bound_m[:1])
     assert_is_picture(geometry(TIME_S[:1], {"x": at_start}, "Title"))
 
 

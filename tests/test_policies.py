@@ -10,9 +10,11 @@ from twin_worlds import fly, fly_twins
 
 from agents.fixed import Random, Schedule, Straight
 from agents.policy import Policy, make_policy, policy_names, sees_world
-from agents.rules import LeadLag, TurnApart, Zigzag
+from agents.rules import HoldOffSight, LeadLag, Split, TurnApart, Zigzag
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.belief import Belief
+from passive_env.catalogue import make_scenario
+from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
@@ -20,6 +22,9 @@ from passive_env.kinematics import turn
 
 NAMES = policy_names(TwoStation())
 BELIEF_ONLY = [name for name in NAMES if not sees_world(make_policy(name, TwoStation()))]
+IN_SPACE = [name for name in policy_names(AngleFusion()) if not sees_world(make_policy(name, AngleFusion()))]
+MISSES = {"detection_probability": 0.7, "false_bearings_mean": 1.0}
+ROUGH = {"clutter_mean": 4.0, "availability0_min": 0.5, "availability1_min": 0.5, "detection_probability": 0.9}
 
 
 def wrapped_deg(angle):
@@ -35,7 +40,8 @@ def headings_flown(policy, scenario, seed=0, episodes=1):
     for _ in range(scenario.steps):
         observation, *_ = env.step(env.simulation.actions.encode(policy.act(env.belief(), observation)))
         states.append(env.world.platforms)
-    velocity = np.array(states)[..., 2:]
+    size = states[0].shape[-1] // 2
+    velocity = np.array(states)[..., size:]
     return np.degrees(np.arctan2(velocity[..., 1], velocity[..., 0]))
 
 
@@ -149,6 +155,108 @@ def test_turn_apart_turns_the_shorter_way_at_the_limit_and_then_flies_straight()
     assert np.abs(turns[18:]).max() < 1e-4
 
 
+# ------------------------------------------------------------------------------------------------ two in space
+
+
+@pytest.mark.parametrize("course", ["paper", "random"])
+@pytest.mark.parametrize(("limit", "last"), [(5.0, 45.0), (10.0, 45.0), (1.0, 40.0), (0.0, 0.0)])
+def test_the_papers_maneuver_in_space_turns_platform_0_left_from_step_20(course, limit, last):
+    """45° at the limit, as far as 20 steps of 2 s suffice; platform 1 flies straight on."""
+    scenario = AngleFusion(course=course, max_turn_rate_deg_s=limit)
+    heading = headings_flown(make_policy("paper", scenario), scenario, seed=3, episodes=3)
+    turned = wrapped_deg(heading - heading[0])
+    np.testing.assert_allclose(turned[:21], 0.0, atol=1e-6)
+    np.testing.assert_allclose(turned[21, :, 0], min(2.0 * limit, 45.0), atol=1e-3)
+    np.testing.assert_allclose(turned[-1, :, 0], last, atol=1e-3)
+    np.testing.assert_allclose(turned[..., 1], 0.0, atol=1e-6)
+    assert course == "random" or heading[0, 0, 0] == pytest.approx(0.0)
+
+
+def test_split_turns_45_degrees_apart_to_the_side_that_opens_the_baseline():
+    """The distance across the line of sight, of the first belief's, grows; with the sign changed it would shrink."""
+    scenario = AngleFusion(steps=20)
+    policy = make_policy("split", scenario)
+    assert isinstance(policy, Split)
+    env = PassiveVectorEnv(scenario, num_envs=60, autoreset_mode="disabled")
+    env.reset(seed=1)
+    belief = env.belief()
+    heading = headings_flown(policy, scenario, seed=1, episodes=60)
+    turned = wrapped_deg(heading[-1] - heading[0])
+    np.testing.assert_allclose(np.sort(turned, axis=1), np.tile([-45.0, 45.0], (60, 1)), atol=1e-3)
+    x, y = (belief.mean[:, 0, :2] - belief.platforms[:, :, :2].mean(axis=1)).T
+    apart = belief.platforms[:, 0, :2] - belief.platforms[:, 1, :2]
+    across = (x * apart[:, 1] - y * apart[:, 0]) / np.hypot(x, y)
+    angle = np.radians(heading[-1])
+    drift = (np.cos(angle) * -y[:, None] + np.sin(angle) * x[:, None]) / np.hypot(x, y)[:, None]
+    assert (np.sign(across) * (drift[:, 0] - drift[:, 1]) > 0.0).all()
+    assert 10 < (turned[:, 0] > 0.0).sum() < 50
+
+
+@pytest.mark.parametrize("exchange", [False, True])
+def test_hold_off_sight_holds_its_angles_off_each_platforms_own_line_of_sight(exchange):
+    """80° for 22 scans, then 50°, on opposite sides, reached by turns at the limit."""
+    scenario = AngleFusion(steps=36)
+    policy = HoldOffSight(scenario, 80.0, 50.0, 22, exchange)
+    env = PassiveVectorEnv(scenario, num_envs=60, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=2)
+    policy.reset(env.belief())
+    off = []
+    for _ in range(36):
+        belief = env.belief()
+        to = belief.mean[:, :1, :2] - belief.platforms[:, :, :2]
+        sight = np.degrees(np.arctan2(to[..., 1], to[..., 0]))
+        before = [env.world.platforms[..., axis] for axis in (3, 4)]
+        observation, *_ = env.step(policy.act(belief, observation))
+        course = np.degrees(np.arctan2(env.world.platforms[..., 4], env.world.platforms[..., 3]))
+        off.append(wrapped_deg(course - sight))
+        turned = np.abs(wrapped_deg(course - np.degrees(np.arctan2(before[1], before[0]))))
+        assert turned.max() <= 10.0 + 1e-3
+    off = np.array(off)
+    for at, angle in ((21, 80.0), (35, 50.0)):
+        settled = np.isclose(np.abs(off[at]), angle, atol=1e-2).all(axis=1)
+        assert settled.mean() > 0.9  # in the others the line of sight moves faster than they turn
+        np.testing.assert_allclose(np.sort(off[at][settled], axis=1), [[-angle, angle]] * settled.sum(), atol=1e-2)
+
+
+def test_sides_in_space_go_by_who_is_left():
+    scenario = AngleFusion(course="paper")
+    heading = headings_flown(HoldOffSight(scenario, 60.0), scenario)[:, 0]
+    assert heading[8, 0] == pytest.approx(60.0, abs=15.0)  # the northern platform, which looks east
+    assert heading[8, 1] == pytest.approx(-60.0, abs=15.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "angles"),
+    [("AngleFusion", {}, (70.0, 60.0)), ("AngleFusionSlow", {}, (90.0, 75.0)), ("AngleFusionClutter", {}, (70.0, 60.0)),
+     ("AngleFusion", {"clutter_density_per_deg2": 0.01}, (70.0, 60.0))],
+)  # fmt: skip
+def test_the_rule_in_space_is_tuned_per_variant(name, fields, angles):
+    scenario = make_scenario(name, fields)
+    policy = make_policy("rule", scenario)
+    assert isinstance(policy, HoldOffSight)
+    assert policy._exchange == (scenario != make_scenario("AngleFusion", {}))
+    np.testing.assert_allclose(np.degrees(policy._angles), angles)
+
+
+@pytest.mark.parametrize(
+    ("angle", "then", "message"),
+    [(181.0, None, "angle_deg = 181.0"), (60.0, -1.0, "then_deg = -1.0"), (math.nan, None, "angle_deg = nan")],
+)
+def test_impossible_angles_off_sight_are_errors(angle, then, message):
+    with pytest.raises(ValueError, match=message):
+        HoldOffSight(AngleFusion(), angle, then)
+
+
+def test_policies_in_space_known_by_name():
+    offer = policy_names(AngleFusion())
+    assert offer == [
+        "paper", "straight", "random", "split", "rule", "rule_60", "greedy", "greedy_4", "greedy_1", "planner",
+        "oracle",
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match=r"unknown policy 'rule_tuned': AngleFusion offers paper, .*planner, oracle"):
+        make_policy("rule_tuned", AngleFusion())
+
+
 # ------------------------------------------------------------------------------------------------ random
 
 
@@ -182,11 +290,16 @@ def test_random_commands_belong_to_the_episode_and_not_to_its_place_in_a_batch()
 # ------------------------------------------------------------------------------------------------ all of them
 
 
-@pytest.mark.parametrize("name", BELIEF_ONLY)
-@pytest.mark.parametrize("fields", [{}, {"detection_probability": 0.7, "false_bearings_mean": 1.0}], ids=str)
-def test_policies_depend_on_the_belief_only(monkeypatch, name, fields):
+@pytest.mark.parametrize(
+    ("family", "name", "fields"),
+    [
+        *((TwoStation, name, fields) for name in BELIEF_ONLY for fields in ({}, MISSES)),
+        *((AngleFusion, name, fields) for name in IN_SPACE for fields in ({}, ROUGH)),
+    ],
+)
+def test_policies_depend_on_the_belief_only(monkeypatch, family, name, fields):
     """The truth behind the same bearings is another: every command is the same."""
-    scenario = TwoStation(**fields)
+    scenario = family(**fields)
 
     def decide():
         policy, begun = make_policy(name, scenario, 0), []
@@ -204,9 +317,14 @@ def test_policies_depend_on_the_belief_only(monkeypatch, name, fields):
     assert np.array_equal(first.commands, second.commands)
 
 
-@pytest.mark.parametrize("name", BELIEF_ONLY)
-def test_policies_obey_the_protocol(name):
-    scenario = TwoStation(targets=2, steps=4)
+@pytest.mark.parametrize(
+    ("scenario", "name"),
+    [
+        *((TwoStation(targets=2, steps=4), name) for name in BELIEF_ONLY),
+        *((AngleFusion(steps=4, **ROUGH), name) for name in IN_SPACE),
+    ],
+)
+def test_policies_obey_the_protocol(scenario, name):
     policy = make_policy(name, scenario)
     assert isinstance(policy, Policy)
     simulation = Simulation(scenario)
@@ -216,7 +334,7 @@ def test_policies_obey_the_protocol(name):
         before = map_rows(np.copy, belief)
         assert policy.reset(belief) is None
         commands = policy.act(belief, simulation.observe(world))
-        assert commands.shape == (episodes, 2)
+        assert commands.shape == (episodes, simulation.actions.size)
         assert np.issubdtype(commands.dtype, np.floating)
         assert np.abs(commands).max() <= 1.0
         map_rows(np.testing.assert_array_equal, belief, before)
@@ -243,10 +361,36 @@ def test_every_policy_flies_every_kind_of_scenario(name, fields):
         observation, *_ = env.step(action)
 
 
-@pytest.mark.parametrize("name", BELIEF_ONLY)
-def test_a_policy_decides_row_by_row(name):
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"actions": "discrete"}, {"course": "paper"}, {"course": "flights"}, {"steps": 1},
+        {"max_turn_rate_deg_s": 0.0}, {"max_turn_rate_deg_s": 1.0}, ROUGH,
+    ],
+    ids=str,
+)  # fmt: skip
+@pytest.mark.parametrize("name", IN_SPACE)
+def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
+    scenario = AngleFusion(**{"steps": 5, **fields})
+    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    policy = make_policy(name, scenario)
+    policy.reset(env.belief())
+    for _ in range(scenario.steps):
+        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
+        assert action in env.action_space
+        observation, *_ = env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "name"),
+    [
+        *((TwoStation(steps=6), name) for name in BELIEF_ONLY),
+        *((AngleFusion(steps=6, **ROUGH), name) for name in IN_SPACE),
+    ],
+)
+def test_a_policy_decides_row_by_row(scenario, name):
     """Batch equals loop."""
-    scenario = TwoStation(steps=6)
     decide = {}
 
     def acting(policy):

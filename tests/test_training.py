@@ -336,6 +336,17 @@ def test_the_plan_takes_what_is_not_given_from_the_preset(tmp_path):
         load_preset("TwoStation", "dreams")
 
 
+def test_a_scenario_of_a_family_overrides_its_preset():
+    family, own = load_preset("Ownship", "ppo"), load_preset("OwnshipManeuvering", "ppo")
+    assert family["imitation"]["teacher"] == "planner"
+    assert own["imitation"] == {**family["imitation"], "teacher": "rule_average"}
+    assert own["scenario"]["reward_range_error"] == 0.1
+    assert {name: value for name, value in own.items() if name not in ("scenario", "imitation")} == {
+        name: value for name, value in family.items() if name not in ("scenario", "imitation")
+    }
+    assert load_preset("OwnshipManeuvering", "sac") == load_preset("Ownship", "sac")
+
+
 # ------------------------------------------------------------------------------------------------ kill and resume
 
 KILLED = """

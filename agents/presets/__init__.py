@@ -1,4 +1,7 @@
-"""Training presets: a TOML file per family of scenarios (or for one of them), in it a section per algorithm."""
+"""Training presets: a TOML file per family of scenarios, with a section per algorithm.
+
+A file of a scenario's own name says only in what that scenario differs from its family.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +13,32 @@ from passive_env.catalogue import make_scenario
 
 
 def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
-    """Settings of an algorithm for a scenario: from the scenario's own file, or else from its family's.
+    """Settings of an algorithm for a scenario: its family's, with what the scenario's own file says instead.
 
     Raises:
         ValueError: no preset of that name.
     """
     family = type(make_scenario(scenario_name, {})).__name__
-    files = (resources.files(__name__) / f"{name}.toml" for name in (scenario_name, family))
-    texts = (file.read_text(encoding="utf-8") for file in files if file.is_file())
-    presets = tomllib.loads(next(texts, ""))
+    presets = _read(family)
+    if scenario_name != family:
+        presets = _overridden(presets, _read(scenario_name))
     if algo not in presets:
         raise ValueError(
             f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"
         )
     return presets[algo]
+
+
+def _read(name: str) -> dict[str, Any]:
+    """A preset file's sections; none where there is no such file."""
+    file = resources.files(__name__) / f"{name}.toml"
+    return tomllib.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def _overridden(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Nested settings with some replaced or added."""
+    merged = dict(base)
+    for name, value in changes.items():
+        old = base.get(name)
+        merged[name] = _overridden(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return merged

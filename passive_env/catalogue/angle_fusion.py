@@ -66,6 +66,7 @@ class AngleFusion(TrackingScenario):
     stations: ClassVar[int] = 2
     """Number of platforms; platform 0 is the reference."""
     targets: ClassVar[int] = 1
+    score: ClassVar[str] = "position"
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
         ("baseline_min_m", "baseline_max_m"),
         ("range_min_m", "range_max_m"),

@@ -22,6 +22,9 @@ class TrackingScenario(Scenario):
     ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Pairs of fields of which the first must not exceed the second."""
 
+    score: ClassVar[str] = "range"
+    """The error that policies are compared by: "range", from the reference, or "position"."""
+
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
     step_s: float = number(2.0, 0.1, 60.0, "time between scans")
