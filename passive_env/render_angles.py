@@ -41,6 +41,7 @@ from passive_env.render import (
 )
 from trackers import AnglePdaf
 from trackers.angle_contract import AngleScan
+from trackers.angle_filter import AngleFilter
 from trackers.angles import wrap
 from trackers.direction import gate
 from trackers.gaussian import Gaussian
@@ -84,6 +85,8 @@ def look_of(world: World, simulation: Simulation) -> Look:
     weights = (np.arange(scan.valid.shape[1]) == reports.slots[0, 0][:, None]).astype(float)
     if not (predicted.cov.any() and np.isfinite(predicted.mean).all() and np.isfinite(predicted.cov).all()):
         return Look(scan.angles, scan.valid, weights, None, None)
+    if isinstance(tracker, AngleFilter):
+        scan = tracker.around(predicted, scan)
     if type(tracker) is AnglePdaf:
         weights = return_weights(predicted, scan, tracker)
     sought = gate(predicted.mean, predicted.cov, scan.platforms, scan.angle_std, 1.0)

@@ -6,7 +6,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy.stats import binom, kstest, norm, poisson
+from scipy.stats import binom, chi2, kstest, norm, poisson
 
 from agents.evaluation import fly as fly_policy
 from agents.policy import make_policy
@@ -337,15 +337,16 @@ def test_every_tracker_by_name_flies(name):
 def test_settings_reach_the_tracker():
     fields = {"process_noise_m_s2": 12.0, "gate": 9.0, "fused_gate": 13.0, "detection_probability": 0.8}
     fields |= {"clutter_known": False, "outlier_test": "coplanarity", "reinitiate": True}
+    fields |= {"second_order": False, "range_floor_m": 7e3, "range_cap_m": 70e3}
     assert make_scenario("AngleFusion", fields).make_tracker() == AnglePdaf(
         process_noise=12.0, gate=9.0, fused_gate=13.0, detection_probability=0.8, clutter_known=False,
-        outlier_test="coplanarity", reinitiate=True,
+        outlier_test="coplanarity", second_order=False, reinitiate=True, floor_m=7e3, cap_m=70e3,
     )  # fmt: skip
-    assert make_scenario("AngleFusion", {}).make_tracker() == AnglePdaf()
+    assert make_scenario("AngleFusion", {}).make_tracker() == AnglePdaf(second_order=True, floor_m=10e3, cap_m=100e3)
 
 
 def test_a_users_tracker_is_taken_as_it_is():
-    own = AngleEkf(process_noise=5.0)
+    own = AngleEkf(process_noise=5.0, second_order=True, floor_m=10e3, cap_m=100e3)
     _, worlds = flown(3, 3, [0.0] * 4, tracker=own)
     _, named = flown(3, 3, [0.0] * 4, tracker="angle_ekf", process_noise_m_s2=5.0)
     assert np.array_equal(worlds[-1].estimate.mean, named[-1].estimate.mean)
@@ -392,7 +393,7 @@ def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, fields
     assert tracker.asked == 17
 
 
-def test_platforms_and_target_in_one_line_start_in_the_middle_of_the_admitted_ranges():
+def test_platforms_and_target_in_one_line_start_with_the_prior_of_range():
     """In trail towards the target no two lines of sight cross: the start says so and nothing breaks."""
     simulation, _ = begin(1)
     draw = simulation.scenario.draw_tape
@@ -415,6 +416,32 @@ def test_platforms_and_target_in_one_line_start_in_the_middle_of_the_admitted_ra
         assert np.isfinite(simulation.observe(world)).all()
         assert np.isfinite(reward).all()
         assert all(np.isfinite(figure).all() for figure in world.metrics)
+
+
+def straight_nees(**fields):
+    """NEES [k + 1, e] of 2,048 random courses flown straight."""
+    env = PassiveVectorEnv("AngleFusion", 2048, "disabled", threads=1, **fields)
+    _, info = env.reset(seed=300_000)
+    nees = [info["nees"][:, 0]]
+    for _ in range(env.scenario.steps):
+        nees.append(env.step(np.zeros((2048, 4)))[4]["nees"][:, 0])
+    return np.array(nees)
+
+
+def test_tracks_are_honest_from_the_first_scan_on():
+    """Random courses, some of them nearly in line with both platforms: at any step no more tracks than chance allows
+    lie beyond the 99 % and the 99.99 % of an honest tracker, and their mean NEES is no larger than honest. (It is
+    smaller: targets fly slower than the velocity prior admits, and without the process noise it provides for.)"""
+    nees = straight_nees()
+    for level in (0.99, 0.9999):
+        beyond = (nees > chi2.ppf(level, 6)).sum(axis=1)
+        assert (beyond <= binom.ppf(1 - 1e-5, 2048, 1 - level)).all()
+    assert nees.mean(axis=1).max() < chi2.ppf(1 - 1e-5, 6 * 2048) / 2048
+
+
+def test_without_the_curvature_some_tracks_collapse_while_range_is_poorly_known():
+    """The contrast to the test above, and why `second_order` is this environment's default."""
+    assert straight_nees(second_order=False).max() > 1e3 > straight_nees().max()
 
 
 # ------------------------------------------------------------------------------------------------ figures of merit
@@ -737,6 +764,8 @@ def test_weights_in_the_picture_are_the_trackers():
         ({"baseline_min_m": 9.5e3}, "must not exceed baseline_max_m"),
         ({"altitude_floor_m": 5.5e3}, "must not exceed platform_altitude_min_m"),
         ({"altitude_ceiling_m": 7e3}, "must not exceed altitude_ceiling_m"),
+        ({"range_floor_m": 2e5}, "range_floor_m = 200000.0: must not exceed range_cap_m"),
+        ({"range_floor_m": 1e5}, "cap_m 100000.0: must be finite and above floor_m"),
         ({"detection_probability": 0.0}, "detection_probability"),
         ({"tracker": "rp_ekf"}, "tracker = 'rp_ekf': must be one of 'angle_ekf'"),
         ({"tracker": "angle_pdaf_sequential", "outlier_test": "conditioned"}, "outlier_test"),

@@ -188,7 +188,7 @@ def _sum_over_ranges(u, angles, used, first, platforms, std, floor, cap, mean, c
     x, P, log_w = np.empty((NODES, 3)), np.empty((NODES, 6, 6)), np.empty(NODES)
     median, deviation, least = 0.5 * math.log(floor * cap), 0.25 * math.log(cap / floor), math.inf
     for n in range(NODES):
-        t = REACH * (2.0 * n / (NODES - 1) - 1.0)
+        t = REACH * ((2.0 * n + 1.0) / NODES - 1.0)
         r = math.exp(median + t * deviation)
         log_likelihood, squared = _at_range(r, u, angles, used, first, platforms, std, x[n], P[n])
         log_w[n] = log_likelihood - 0.5 * t * t
