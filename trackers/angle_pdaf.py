@@ -380,9 +380,7 @@ class AnglePdaf(AngleFilter):
     def _associate(self, state: Gaussian, scan: AngleScan, nearest: bool) -> AngleUpdate:
         scan.check()
         scan = scan.over_tracks()
-        mean, cov, *rest = associate_directions(
-            state, self.around(state, scan), self, self.detection(scan), nearest
-        )
+        mean, cov, *rest = associate_directions(state, self.around(state, scan), self, self.detection(scan), nearest)
         return AngleUpdate(self.renew(Gaussian(mean, cov), scan), *rest)
 
 

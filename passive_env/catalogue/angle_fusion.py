@@ -96,7 +96,9 @@ class AngleFusion(TrackingScenario):
     gate: float = number(16.0, 1.0, 100.0, "γ₂, squared size of the gates of single sensors")
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
     outlier_test: str = choice("off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside")
-    range_floor_m: float = number(10e3, 1.0, 1e7, "the tracker's prior of range, where directions do not fix it: 95 % …")
+    range_floor_m: float = number(
+        10e3, 1.0, 1e7, "the tracker's prior of range, where directions do not fix it: 95 % …"
+    )
     range_cap_m: float = number(100e3, 1.0, 1e7, "… lie between these two")
     second_order: bool = flag(True, "whether the curvature of azimuth and elevation adds to their variance")
     reinitiate: bool = flag(False, "whether a track that the tracker finds lost starts anew")
