@@ -98,7 +98,7 @@ class AngleFilter(ABC):
         return np.broadcast_to(np.asarray(self.detection_probability, dtype=float), (sensors,))
 
     def around(self, prior: Gaussian, scan: AngleScan) -> AngleScan:
-        """The scan as it may be linearised at the prior: with the variance of the curvature if the settings say so."""
+        """The scan as a linearisation at the prior may use it: with the curvature's variance if settings say so."""
         if not self.second_order:
             return scan
         return scan._replace(angle_std=std_with_curvature(prior, scan.platforms, scan.angle_std))

@@ -97,9 +97,9 @@ class AngleFusion(TrackingScenario):
     fused_gate: float = number(18.47, 1.0, 200.0, "γ₄, squared size of the gate of pairs of returns")
     outlier_test: str = choice("off", ("off", "conditioned", "coplanarity"), "test that sets a platform's return aside")
     range_floor_m: float = number(
-        10e3, 1.0, 1e7, "prior of the tracker where directions leave range open: 95 % of it …"
+        10e3, 1.0, 1e7, "the tracker's prior of range, where directions do not fix it: 95 % …"
     )
-    range_cap_m: float = number(100e3, 1.0, 1e7, "… lies between these two")
+    range_cap_m: float = number(100e3, 1.0, 1e7, "… lie between these two")
     second_order: bool = flag(True, "whether the curvature of azimuth and elevation adds to their variance")
     reinitiate: bool = flag(False, "whether a track that the tracker finds lost starts anew")
     detection_probability: float = number(1.0, 0.01, 1.0, "of the target by an available sensor, after the first scan")
