@@ -220,13 +220,21 @@ BEST_ZIGZAGS = {
     "one target": ((110.0, 40.0), (40.0, 40.0)),
     "maneuvering": ((30.0, 35.0), (35.0, 45.0)),
     "several targets": ((110.0, 70.0), (50.0, 55.0)),
+    "recorded flights": ((50.0, 50.0), (40.0, 50.0)),
 }
 """Leg [s] and angle [deg] of the zigzags best in mean final and in mean time-averaged range error: `tune_zigzag` on
-seeds 500,000 and up, which no evaluation uses, 512 to 2,048 episodes per cell, legs 15–150 s, angles 15–80°."""
+seeds 500,000 and up, which no evaluation uses, 512 to 2,048 episodes per cell, legs 15–150 s, angles 15–80° (recorded flights: those of training, adaptive tracker, legs
+30–110 s, angles 30–70°)."""
 
 
 def _best_zigzag(scenario: Any, average: bool) -> Zigzag:
-    case = "several targets" if scenario.targets > 1 else "maneuvering" if scenario.maneuvering else "one target"
+    cases = {
+        "several targets": scenario.targets > 1,
+        "recorded flights": scenario.course == "flights",
+        "maneuvering": scenario.maneuvering,
+        "one target": True,
+    }
+    case = next(name for name, holds in cases.items() if holds)
     return Zigzag(scenario, *BEST_ZIGZAGS[case][int(average)])
 
 
