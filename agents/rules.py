@@ -223,8 +223,8 @@ BEST_ZIGZAGS = {
     "recorded flights": ((50.0, 50.0), (40.0, 50.0)),
 }
 """Leg [s] and angle [deg] of the zigzags best in mean final and in mean time-averaged range error: `tune_zigzag` on
-seeds 500,000 and up, which no evaluation uses, 512 to 2,048 episodes per cell, legs 15–150 s, angles 15–80° (recorded flights: those of training, adaptive tracker, legs
-30–110 s, angles 30–70°)."""
+seeds 500,000 and up, which no evaluation uses, 512 to 2,048 episodes per cell, legs 15–150 s, angles 15–80° (recorded
+flights: those of training, adaptive tracker, legs 30–110 s, angles 30–70°)."""
 
 
 def _best_zigzag(scenario: Any, average: bool) -> Zigzag:
