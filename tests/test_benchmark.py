@@ -73,6 +73,8 @@ def test_every_goal_in_use_can_be_read(sections):
     assert goals["bearing_updates_one_core"] == ">= 10"
     assert goals["vector_env_random_actions"] == ">= 250000"
     assert goals["ownship_random_actions"] == ">= 1000000"
+    assert goals["angles_clean_random_actions"] == ">= 400000"
+    assert goals["angles_clutter_8_random_actions"] == ">= 40000"
     assert goals["greedy_decision"] == "< 30"
     assert goals["planner_decision"] == "< 200"
     assert goals["single_env_step"] == "<= 60"

@@ -19,6 +19,7 @@ from agents.benchmark.environments import (
     measure_one_platform,
     measure_resets,
     measure_single,
+    measure_two_aircraft,
     measure_vector,
 )
 from agents.benchmark.filters import measure_monte_carlo, measure_rivals, measure_updates
@@ -34,6 +35,7 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "false returns": measure_clutter,
     "vector environment": measure_vector,
     "one platform": measure_one_platform,
+    "two aircraft": measure_two_aircraft,
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,

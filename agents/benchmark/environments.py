@@ -12,10 +12,10 @@ from agents.benchmark.results import Result, Section
 from agents.benchmark.timing import Effort, Task, seconds, take_turns
 from agents.greedy import Greedy
 from agents.planner import Planner
-from passive_env.catalogue import environment_id
+from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
-SCENARIO, ONE_PLATFORM = "TwoStation", "Ownship"
+SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT = "TwoStation", "Ownship", "AngleFusion"
 
 
 def measure_vector(effort: Effort) -> Section:
@@ -37,6 +37,17 @@ def measure_one_platform(effort: Effort) -> Section:
     wide = {"": _begun(effort, None, ONE_PLATFORM), "_one_thread": _begun(effort, 1, ONE_PLATFORM)}
     tasks = {f"ownship_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
     return Section(_rates(tasks, effort, wide[""].scenario.steps, {"ownship_random_actions": ">= 1000000"}))
+
+
+def measure_two_aircraft(effort: Effort) -> Section:
+    """Environment steps per second on azimuths and elevations, clean and in clutter, windows as in `measure_vector`."""
+    clean, clutter = make_scenario(TWO_AIRCRAFT, {}), make_scenario(TWO_AIRCRAFT, {"clutter_mean": 8.0})
+    tasks = {
+        "angles_clean_random_actions": _window(_begun(effort, None, clean), True),
+        "angles_clutter_8_random_actions": _window(_begun(effort, None, clutter), True),
+    }
+    goals = {"angles_clean_random_actions": ">= 400000", "angles_clutter_8_random_actions": ">= 40000"}
+    return Section(_rates(tasks, effort, clean.steps, goals))
 
 
 def _rates(tasks: Mapping[str, Task], effort: Effort, steps: int, goals: Mapping[str, str]) -> list[Result]:
@@ -67,7 +78,7 @@ def measure_decisions(effort: Effort) -> Section:
     return Section([Result(name, 1e3 * float(np.median(taken)), "ms", goals[name]) for name, taken in times.items()])
 
 
-def _begun(effort: Effort, threads: int | None, scenario: str = SCENARIO) -> PassiveVectorEnv:
+def _begun(effort: Effort, threads: int | None, scenario: Any = SCENARIO) -> PassiveVectorEnv:
     env = PassiveVectorEnv(scenario, num_envs=effort.num_envs, threads=threads)
     env.reset(seed=0)
     return env
