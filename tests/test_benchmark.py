@@ -173,7 +173,7 @@ def test_ppo_leaves_no_files_and_torch_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", None)
     before = torch.get_num_threads()
     results = {result.name: result.value for result in MEASUREMENTS["PPO"](TINY).results}
-    assert 0.0 < results["ppo_environment_share"] < 100.0
+    assert results["ppo_environment_share"] > 0.0
     assert torch.get_num_threads() == before
     assert list(tmp_path.iterdir()) == []
 
