@@ -235,7 +235,7 @@ def _first_paths(instants: _Instant, world: World, scenario: Any) -> EpisodePath
     return EpisodePaths(
         instants.stations[0], world.tape.targets[0, :, :, :2], instants.estimates[0],
         world.estimate.cov[0, :, :2, :2], instants.scored_error_m[0], instants.scored_crlb_m[0], world.tape.discs[0],
-        scenario.standoff_m, scenario.score,
+        scenario.standoff_m, scenario.score, scenario.reference,
     )  # fmt: skip
 
 

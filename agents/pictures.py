@@ -31,7 +31,7 @@ LABEL_GAP = 0.06
 
 
 class EpisodePaths(NamedTuple):
-    """What happened in one episode of k steps, s stations (the last is the reference) and m targets.
+    """What happened in one episode of k steps, s stations and m targets.
 
     Attributes:
         stations: [k + 1, s, 2] m, east-north.
@@ -43,6 +43,7 @@ class EpisodePaths(NamedTuple):
         discs: [d, 3] no-go discs: centre x, y and radius [m].
         standoff_m: radius of the targets' stand-off rings, 0 for none.
         error: "range" (from the reference) or "position".
+        reference: index of the reference station.
     """
 
     stations: Any
@@ -54,6 +55,7 @@ class EpisodePaths(NamedTuple):
     discs: Any = np.empty((0, 3))
     standoff_m: float = 0.0
     error: str = "range"
+    reference: int = -1
 
 
 # -- error over time ---------------------------------------------------------------------------------------------------
@@ -249,17 +251,19 @@ def _panel(axes: Axes, episode: EpisodePaths, frame: render.Frame) -> None:
     render.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(_segments(stations))
     render.add_lines(axes, colors, 1.8).set_segments(_segments(targets))
     render.add_ellipses(axes, colors).set_verts(list(1e-3 * render.ellipses(estimates[-1], episode.final_cov)))
-    for state, text in zip(_final_states(stations), render.station_names(stations.shape[1]), strict=True):
+    for state, text in zip(
+        _final_states(stations), render.station_names(stations.shape[1], episode.reference), strict=True
+    ):
         render.place_dart(axes.plot([], [], **render.marker(INK))[0], state)
         render.place_name(render.name_tag(axes, text, INK), state, stations[-1].mean(0), frame)
     numbers = []
     for j, (state, color) in enumerate(zip(_final_states(targets), colors, strict=True)):
         render.place_dart(axes.plot([], [], **render.marker(color))[0], state)
         numbers.append(render.name_tag(axes, str(j + 1), color))
-        render.place_number(numbers[j], state, stations[-1, -1])
+        render.place_number(numbers[j], state, stations[-1, episode.reference])
     rings = [axes.plot([], [], **render.ring(color, 12.0))[0] for color in colors]
     notes = [render.name_tag(axes, "", color) for color in colors]
-    render.place_estimates(rings, notes, stations[-1, -1], estimates[-1], frame)
+    render.place_estimates(rings, notes, stations[-1, episode.reference], estimates[-1], frame)
     for number, note in zip(numbers, notes, strict=True):
         _clear(number, note)
 

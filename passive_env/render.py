@@ -502,11 +502,11 @@ def bottom_legend(figure: Figure, samples: list[Any], columns: int) -> None:
     )  # fmt: skip
 
 
-def station_names(stations: int) -> list[str]:
-    """Names of the stations; the last one is the reference, the only one needs no number."""
+def station_names(stations: int, reference: int = -1) -> list[str]:
+    """Names of the stations; the one of index `reference` is marked, the only one needs no number."""
     if stations == 1:
         return ["platform"]
-    return [f"S{i + 1}{' (ref.)' if i == stations - 1 else ''}" for i in range(stations)]
+    return [f"S{i + 1}{' (ref.)' if i == reference % stations else ''}" for i in range(stations)]
 
 
 def kilometres(distance_m: float) -> str:

@@ -14,6 +14,7 @@ from agents.evaluation import fly
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.catalogue import make_scenario
+from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.ownship import DISC_OFFSET, NEAREST_DISC, Ownship
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import FlightFileError, load_flights
@@ -552,7 +553,8 @@ def test_the_only_platform_is_no_reference():
     from passive_env.render import legend_samples, station_names, zone_samples
 
     assert station_names(1) == ["platform"]
-    assert station_names(2) == ["S1", "S2 (ref.)"]
+    assert station_names(2) == station_names(2, TwoStation.reference) == ["S1", "S2 (ref.)"]
+    assert station_names(2, AngleFusion.reference) == ["S1 (ref.)", "S2"]
     assert next(s.get_label() for s in legend_samples(False, reference=False)) == "platform"
     assert [s.get_label() for s in zone_samples(True, True)] == ["no-go disc", "stand-off ring"]
     assert zone_samples(False, False) == []

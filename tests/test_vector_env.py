@@ -67,7 +67,7 @@ def random_actions(env, seed, count):
     return rng.uniform(-1.0, 1.0, shape).astype(np.float32)
 
 
-def fly_both(ours, theirs, seed, calls):
+def assert_same_flights(ours, theirs, seed, calls):
     """Step both by the same random actions; DISABLED resets by hand when the episodes are over."""
     assert_same_reset(ours.reset(seed=seed), theirs.reset(seed=seed))
     for action in random_actions(ours, seed, calls):
@@ -91,7 +91,7 @@ def assert_same_reset(ours, theirs):
 @pytest.mark.parametrize("num_envs", WIDTHS)
 def test_vector_equals_singles_over_two_episodes(num_envs, mode):
     ours = PassiveVectorEnv(num_envs=num_envs, autoreset_mode=mode, threads=2, **ROUGH)
-    fly_both(ours, oracle(num_envs, mode, **ROUGH), seed=11, calls=13)
+    assert_same_flights(ours, oracle(num_envs, mode, **ROUGH), seed=11, calls=13)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,9 @@ def test_vector_equals_singles_over_two_episodes(num_envs, mode):
     ids=str,
 )
 def test_vector_equals_singles_over_whole_default_episodes(fields):
-    fly_both(PassiveVectorEnv(num_envs=3, **fields), oracle(3, AutoresetMode.NEXT_STEP, **fields), seed=2, calls=93)
+    assert_same_flights(
+        PassiveVectorEnv(num_envs=3, **fields), oracle(3, AutoresetMode.NEXT_STEP, **fields), seed=2, calls=93
+    )
 
 
 @over_modes
@@ -119,7 +121,7 @@ def test_vector_equals_singles_over_whole_default_episodes(fields):
 def test_every_registered_scenario_vectorises(name, mode):
     single = lambda: PassiveEnv(name, steps=4)  # noqa: E731
     theirs = SyncVectorEnv([single] * 2, autoreset_mode=mode)
-    fly_both(PassiveVectorEnv(name, num_envs=2, autoreset_mode=mode, steps=4), theirs, seed=0, calls=9)
+    assert_same_flights(PassiveVectorEnv(name, num_envs=2, autoreset_mode=mode, steps=4), theirs, seed=0, calls=9)
 
 
 def test_sub_environments_do_not_depend_on_the_width_of_the_batch():

@@ -65,6 +65,7 @@ class AngleFusion(TrackingScenario):
 
     stations: ClassVar[int] = 2
     """Number of platforms; platform 0 is the reference."""
+    reference: ClassVar[int] = 0
     targets: ClassVar[int] = 1
     score: ClassVar[str] = "position"
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -194,7 +195,7 @@ class AngleFusion(TrackingScenario):
 
     def make_truth_observation(self) -> TruthObservation:
         """What a critic may know in training."""
-        return TruthObservation(self.targets, reference=0)
+        return TruthObservation(self.targets, self.reference)
 
     def make_sensors(self, tracker: AngleTracker) -> AngleSensors:
         """The platforms' sensors; clutter per gate lies where the tracker searches."""

@@ -24,6 +24,8 @@ class TrackingScenario(Scenario):
 
     score: ClassVar[str] = "range"
     """The error that policies are compared by: "range", from the reference, or "position"."""
+    reference: ClassVar[int] = -1
+    """Index of the platform from which ranges are measured: the last one, unless a family says otherwise."""
 
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
