@@ -553,7 +553,7 @@ def test_the_only_platform_is_no_reference():
     from passive_env.render import legend_samples, station_names, zone_samples
 
     assert station_names(1) == ["platform"]
-    assert station_names(2) == station_names(2, TwoStation.reference) == ["S1", "S2 (ref.)"]
+    assert station_names(2) == station_names(2, Ownship.reference) == ["S1", "S2 (ref.)"]
     assert station_names(2, AngleFusion.reference) == ["S1 (ref.)", "S2"]
     assert next(s.get_label() for s in legend_samples(False, reference=False)) == "platform"
     assert [s.get_label() for s in zone_samples(True, True)] == ["no-go disc", "stand-off ring"]
