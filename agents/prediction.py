@@ -87,7 +87,7 @@ def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
 
 
 @helper
-def _depth(dx, dy, radius):
+def depth(dx, dy, radius):
     """How deep a point lies within a circle, 0 at its edge or outside, 1 in the middle."""
     d2 = dx * dx + dy * dy
     return 1.0 - math.sqrt(d2) / max(radius, 1.0) if d2 < radius * radius else 0.0
@@ -101,14 +101,14 @@ def _intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_
         x, y = platforms[s, 0], platforms[s, 1]
         for m in range(targets.shape[0]):
             dx, dy = x - targets[m, 0], y - targets[m, 1]
-            total += guard_cost * _depth(dx, dy, guard) + standoff_cost * _depth(dx, dy, standoff)
+            total += guard_cost * depth(dx, dy, guard) + standoff_cost * depth(dx, dy, standoff)
         for d in range(discs.shape[0]):
-            total += standoff_cost * _depth(x - discs[d, 0], y - discs[d, 1], discs[d, 2])
+            total += standoff_cost * depth(x - discs[d, 0], y - discs[d, 1], discs[d, 2])
     return total
 
 
 @helper
-def _predict(P, T, q):
+def predict_numbers(P, T, q):
     """`trackers.motion.predict_in_place` of a covariance given by its ten numbers, row by row."""
     p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = P
     q2 = q * q
@@ -161,7 +161,7 @@ def _half_log_det(P):
 @helper
 def _scan(P, target, platforms, T, q, var, first):
     """Covariance after a step and the bearings of platforms [s, 2] from `first` on."""
-    P = _predict(P, T, q)
+    P = predict_numbers(P, T, q)
     for s in range(first, platforms.shape[0]):
         a, b = slope(target[0], target[1], platforms[s, 0], platforms[s, 1])
         P = _condition(P, a, b, var)
