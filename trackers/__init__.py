@@ -6,8 +6,10 @@ from trackers.angle_ekf import AngleEkf
 from trackers.angle_filter import AngleFilter
 from trackers.angle_pdaf import AngleNearestNeighbour, AnglePdaf, AnglePdafSequential
 from trackers.contract import Scan, Tracker, Update
+from trackers.fix_contract import BearingScan, ManeuverTracker, ManeuverUpdate
 from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
+from trackers.imm_mie import ImmMie
 from trackers.rp_ekf import Bank, RpEkf
 
 DISTRIBUTION = "passive-env"
@@ -24,8 +26,12 @@ ANGLE_TRACKERS: dict[str, type[AngleFilter]] = {
 }
 """Trackers on azimuth and elevation an environment takes by name."""
 
+MANEUVER_TRACKERS: dict[str, type[ImmMie]] = {"imm_mie": ImmMie, "imm3": ImmMie, "mie": ImmMie, "ie": ImmMie}
+"""Trackers of a maneuvering target on bearings that cross, by name."""
+
 __all__ = [
     "ANGLE_TRACKERS",
+    "MANEUVER_TRACKERS",
     "TRACKERS",
     "AdaptiveRpEkf",
     "AngleEkf",
@@ -37,8 +43,12 @@ __all__ = [
     "AngleTracker",
     "AngleUpdate",
     "Bank",
+    "BearingScan",
     "FusedEkf",
     "Gaussian",
+    "ImmMie",
+    "ManeuverTracker",
+    "ManeuverUpdate",
     "ModelBank",
     "RpEkf",
     "Scan",
