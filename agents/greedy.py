@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -9,12 +10,20 @@ import numpy as np
 
 from agents.prediction import Prediction, Situation
 from agents.prediction_3d import Prediction3D
-from agents.steering import course, level_flight, line_of_sight, towards
+from agents.prediction_fixes import FixPrediction
+from agents.steering import course, level_flight, line_of_sight
 from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 
 TURN_LEVELS = 9
 """Turn rates tried by `controls="turns"`, from −limit to +limit."""
+
+OFF_SIGHT_DEG = 80.0
+"""Angle off the line of sight at which sides are compared."""
+
+DRIVE_STEPS = (1, 3, 7, 15)
+"""Steps driven, of stations that stop to measure."""
 
 PASSES = 2
 """How often several platforms' controls are improved in turn."""
@@ -22,7 +31,10 @@ PASSES = 2
 
 def predict(scenario: Any, *settings: Any) -> Prediction:
     """The prediction of a scenario's family: settings as of `agents.prediction.Prediction`."""
-    return (Prediction3D if isinstance(scenario, AngleFusion) else Prediction)(scenario, *settings)
+    families = {AngleFusion: Prediction3D, ManeuveringTarget: FixPrediction}
+    return next((kind for family, kind in families.items() if isinstance(scenario, family)), Prediction)(
+        scenario, *settings
+    )
 
 
 class Greedy:
@@ -62,8 +74,7 @@ class Greedy:
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """The first command of the best candidate."""
         best = self.best(self.prediction.situation(belief, self.horizon), belief.mean)
-        turns = best if self._turns else towards(best, belief.platforms, self.prediction.turn_per_step)
-        return level_flight(turns, belief)
+        return level_flight(best, belief) if self._turns else self.prediction.commands(best, belief)
 
     def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
         """The best controls [e, s] from a situation; `mean` [e, m, n] gives the line of sight."""
@@ -91,6 +102,76 @@ class Greedy:
         return np.concatenate([held, sight + _directions(self._headings)], axis=-1)
 
 
+class FixGreedy(Greedy):
+    """Tries headings and speeds held for some steps, of stations whose bearings become position fixes.
+
+    Which side every station goes to is decided first: `OFF_SIGHT_DEG` off its line of sight, for all patterns of left and
+    right, or straight on, or all stopping. Then the stations are improved in turn: headings all about the line of
+    sight at full speed, or to stop. Stations that measure only when slow drive for some of `DRIVE_STEPS`, all of them,
+    and then stop.
+
+    Args:
+        as of `Greedy`, without `controls`.
+    Raises:
+        ValueError: as of `Greedy`.
+    """
+
+    def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
+        """The best controls [e, 2 s] of the first leg."""
+        return self.plan(start, mean)[0][:, 0]
+
+    def plan(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best controls [e, g, 2 s] and ends of legs [e, g]."""
+        controls, ends = self._patterns(start, mean)
+        best, ends = self._better(start, controls, ends)
+        stations = start.platforms.shape[1]
+        for station in [*range(stations)] * (PASSES if stations > 2 else 1):
+            moves = self._moves(start, mean, best, station)
+            best, _ = self._better(start, moves, np.repeat(ends[:, None], moves.shape[1], axis=1))
+        return best, ends
+
+    def _better(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best of plans [e, c, …]."""
+        rows = np.arange(len(controls))
+        choice = self.prediction.cost(start, controls, ends).argmin(axis=1)
+        return controls[rows, choice], ends[rows, choice]
+
+    def _patterns(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Controls [e, c, g, 2 s] and ends [e, c, g]: straight on, to all patterns of sides, or stopped."""
+        platforms = start.platforms
+        signs = np.array(list(itertools.product((1.0, -1.0), repeat=platforms.shape[1])))
+        sides = line_of_sight(platforms, mean)[:, None] + math.radians(OFF_SIGHT_DEG) * signs
+        go_on = self.prediction.held(platforms)[:, None]
+        stop = _with_speed(go_on, -1.0)
+        apart = np.concatenate([sides, np.ones_like(sides)], axis=-1)
+        drives = np.concatenate([go_on, apart], axis=1)
+        if not self.prediction.stops_to_measure:
+            controls = np.concatenate([drives, stop], axis=1)[:, :, None]
+            return controls, np.broadcast_to(start.steps[:, None, None], controls.shape[:3])
+        legs = np.stack([drives, _with_speed(drives, -1.0)], axis=2)
+        controls = np.concatenate([np.repeat(stop[:, :, None], 2, axis=2), *[legs] * len(DRIVE_STEPS)], axis=1)
+        until = np.concatenate([[1], np.repeat(DRIVE_STEPS, drives.shape[1])])
+        ends = np.minimum(until[:, None], start.steps[:, None, None])
+        return controls, np.concatenate(np.broadcast_arrays(ends, start.steps[:, None, None]), axis=-1)
+
+    def _moves(self, start: Situation, mean: np.ndarray, best: np.ndarray, station: int) -> np.ndarray:
+        """Plans [e, c, g, 2 s] in which one station goes another way than in the best one so far [e, g, 2 s]."""
+        stations = start.platforms.shape[1]
+        sight = line_of_sight(start.platforms[:, station : station + 1], mean)
+        ways = np.concatenate([course(start.platforms)[:, station, None], sight + _directions(self._headings)], axis=-1)
+        plans = np.repeat(best[:, None], ways.shape[1] + 2, axis=1)
+        plans[:, 2:, :, station] = ways[..., None]
+        plans[:, 1, :, stations + station] = -1.0
+        plans[:, 2:, 0, stations + station] = 1.0
+        return plans
+
+
+def _with_speed(controls: np.ndarray, speed: float) -> np.ndarray:
+    """Controls [..., 2 s] with all speeds replaced."""
+    headings, speeds = np.split(controls, 2, axis=-1)
+    return np.concatenate([headings, np.full_like(speeds, speed)], axis=-1)
+
+
 def _shares(count: int) -> np.ndarray:
     """Numbers equally spaced from −1 to 1, the same to both sides; 0 only if they are odd."""
     return np.delete(np.linspace(-1.0, 1.0, count + 1), count // 2) if count % 2 == 0 else np.linspace(-1.0, 1.0, count)
@@ -116,3 +197,6 @@ GREEDY_IN_SPACE = {
 }
 """Makers (scenario, seed) for platforms in space, which look 8, 4 and 1 steps ahead; the criterion is the best of
 `agents.prediction_3d.CRITERIA_3D` in final and time-averaged position error together, on seeds from 500,000 on."""
+
+FIX_GREEDY = {"greedy": lambda scenario, seed: FixGreedy(scenario)}
+"""Maker (scenario, seed) for stations whose bearings become fixes."""

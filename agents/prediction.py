@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.steering import course, level_flight, towards
 from passive_env.belief import Belief
 from passive_env.core import World
 from passive_env.kinematics import fly_legs
@@ -87,23 +88,23 @@ def situation(belief: Belief, step_s: float, horizon: int) -> Situation:
 
 
 @helper
-def depth(dx, dy, radius):
+def _depth(dx, dy, radius):
     """How deep a point lies within a circle, 0 at its edge or outside, 1 in the middle."""
     d2 = dx * dx + dy * dy
     return 1.0 - math.sqrt(d2) / max(radius, 1.0) if d2 < radius * radius else 0.0
 
 
 @helper
-def _intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_cost):
+def intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_cost):
     """Penalty per second of all platforms' places."""
     total = 0.0
     for s in range(platforms.shape[0]):
         x, y = platforms[s, 0], platforms[s, 1]
         for m in range(targets.shape[0]):
             dx, dy = x - targets[m, 0], y - targets[m, 1]
-            total += guard_cost * depth(dx, dy, guard) + standoff_cost * depth(dx, dy, standoff)
+            total += guard_cost * _depth(dx, dy, guard) + standoff_cost * _depth(dx, dy, standoff)
         for d in range(discs.shape[0]):
-            total += standoff_cost * depth(x - discs[d, 0], y - discs[d, 1], discs[d, 2])
+            total += standoff_cost * _depth(x - discs[d, 0], y - discs[d, 1], discs[d, 2])
     return total
 
 
@@ -217,7 +218,7 @@ def _flight_cost(platforms, paths, discs, steps, controls, ends, model, flight):
         fly_legs(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
     penalty = 0.0
     for k in range(steps):
-        penalty += _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
+        penalty += intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
     return model[0] * penalty
 
 
@@ -289,6 +290,14 @@ class Prediction:
         at = np.minimum(world.step[:, None] + np.arange(1, start.paths.shape[1] + 1), last)
         paths = world.tape.targets[np.arange(len(at))[:, None], at, :, : start.paths.shape[-1]]
         return start._replace(paths=paths, cov=world.bound)
+
+    def held(self, platforms: np.ndarray) -> np.ndarray:
+        """Controls [e, a] by which platforms [e, s, n] go on as they do: their headings."""
+        return course(platforms)
+
+    def commands(self, controls: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] towards the controls [e, a] of a plan's present leg."""
+        return level_flight(towards(controls, belief.platforms, self.turn_per_step), belief)
 
     def cost(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Costs [e, c] in nepers of c plans for each of e environments, in one compiled call.

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.prediction import LARGEST, STANDOFF_PER_S, WORST, Prediction, Situation, depth, predict_numbers
+from agents.prediction import LARGEST, WORST, Prediction, Situation, intrusion, predict_numbers
+from agents.steering import course, towards
 from passive_env.belief import Belief
 from passive_env.kinematics import arc
 from trackers.angles import wrap_scalar
@@ -27,6 +28,9 @@ from trackers.measurement import slope
 CRITERIA_FIXES = ("mean_position_std", "position_std", "mean_log_position_std")
 """What a plan minimises, of the position's standard deviation √(trace): the logarithm of its mean over time, the
 logarithm at the end, the mean logarithm over time; summed over tracks, before the logarithm where there is one."""
+
+MANEUVER_NOISE_M_S2 = 30.0
+"""Effective maneuver noise q of the predicted filter: the acceleration of a hard turn. Plans hardly depend on it."""
 
 FLATTEST = 1e-12
 """Where the smaller of M's two eigenvalues is below this share of the larger there is no fix."""
@@ -94,14 +98,14 @@ def _position_std(P):
 @helper
 def _figure(cov, path, flight, steps, model):
     """One track's part of the criterion along a path [k, 2]."""
-    criterion = int(model[6])
+    criterion = int(model[7])
     P = (
         cov[0, 0], cov[0, 1], cov[0, 2], cov[0, 3], cov[1, 1],
         cov[1, 2], cov[1, 3], cov[2, 2], cov[2, 3], cov[3, 3],
     )  # fmt: skip
     total = 0.0
     for k in range(steps):
-        m00, m01, m11 = _information(path[k], flight[k], model[3], model[7])
+        m00, m01, m11 = _information(path[k], flight[k], model[3], model[6])
         P = _fix(predict_numbers(P, model[0], model[2]), m00, m01, m11)
         if criterion == 0:
             total += _position_std(P) / steps
@@ -110,8 +114,8 @@ def _figure(cov, path, flight, steps, model):
     return _position_std(P) if criterion == 1 else total
 
 
-@kernel("(s,x),(k,m,p),(m,x,x),(),(c,g,b),(c,g),(l),(k,s,v)->(c)", "FFFiFiFFF")
-def _plan_costs(platforms, paths, cov, steps, controls, ends, model, flight, cost):
+@kernel("(s,x),(k,m,p),(m,x,x),(d,r),(),(c,g,b),(c,g),(l),(k,s,v)->(c)", "FFFFiFiFFF")
+def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flight, cost):
     """Costs of c plans; `flight` [k, s, 3] is scratch, shared by all items of a call."""
     stations = platforms.shape[0]
     for c in range(cost.shape[0]):
@@ -119,16 +123,59 @@ def _plan_costs(platforms, paths, cov, steps, controls, ends, model, flight, cos
             headings, speeds = controls[c, :, s], controls[c, :, stations + s]
             _drive(platforms[s], headings, speeds, ends[c], steps, model[0], model[1], model[4:6], flight[:, s])
         figure = penalty = 0.0
+        for k in range(steps):
+            penalty += intrusion(flight[k], paths[k], discs, model[9], model[10], model[11], model[12])
         for m in range(cov.shape[0]):
             figure += _figure(cov[m], paths[:, m], flight, steps, model)
-            if model[8] > 0.0:
-                for k in range(steps):
-                    for s in range(stations):
-                        dx, dy = flight[k, s, 0] - paths[k, m, 0], flight[k, s, 1] - paths[k, m, 1]
-                        penalty += model[9] * depth(dx, dy, model[8])
-        total = model[0] * penalty + (figure if model[6] == 2.0 else math.log(figure))
+        total = model[0] * penalty + (figure if model[7] == 2.0 else math.log(figure))
         cost[c] = total if abs(total) < WORST else WORST
 
 
 class FixPrediction(Prediction):
-    pass
+    """Costs of plans of stations that steer by turn rate and speed.
+
+    A plan's controls [e, c, g, 2 s] are the headings of all stations [rad], then their speeds as commands in [−1, 1],
+    from the scenario's lowest to its highest.
+
+    Args:
+        scenario: supplies step, limits of turn rate and speed, the speed at which stations measure, noise of azimuths,
+            stand-off distance.
+        criterion: one of `CRITERIA_FIXES`.
+        guard_m: as of `agents.prediction.Prediction`.
+        controls: "headings".
+    Raises:
+        ValueError: as of `agents.prediction.Prediction`, or controls="turns".
+    """
+
+    criteria = CRITERIA_FIXES
+    usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_position_std", 0.0, 20, 16
+
+    def __init__(
+        self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, controls: str = "headings"
+    ):
+        if controls == "turns":
+            raise ValueError("controls 'turns': stations that also choose their speed are steered by 'headings'")
+        super().__init__(scenario, criterion, guard_m, controls)
+        self.slowest, self.measuring = (self._settings[at] for at in (4, 6))
+        self.stops_to_measure = self.measuring < self._settings[5]
+
+    def held(self, platforms: np.ndarray) -> np.ndarray:
+        """Controls [e, 2 s]: hold the heading, at full speed."""
+        headings = course(platforms)
+        return np.concatenate([headings, np.ones_like(headings)], axis=-1)
+
+    def commands(self, controls: np.ndarray, belief: Belief) -> np.ndarray:
+        """Turn commands towards the headings, then speeds."""
+        headings, speeds = np.split(controls, 2, axis=-1)
+        turns = towards(headings, belief.platforms, self.turn_per_step)
+        return np.concatenate([turns, np.clip(speeds, -1.0, 1.0)], axis=-1)
+
+    def _numbers(self, scenario: Any) -> tuple[float, ...]:
+        std = 1e-3 * scenario.azimuth_std_mrad
+        variance = std * std / scenario.detection_probability
+        speeds = float(scenario.min_speed_m_s), float(scenario.top_speed_m_s), float(scenario.measuring_speed_limit_m_s)
+        return (self.step_s, self.turn_per_step, MANEUVER_NOISE_M_S2 * self.step_s, variance, *speeds)
+
+    def _costs(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        flight = np.empty((start.paths.shape[1], start.platforms.shape[1], 3))
+        return _plan_costs(*start[:5], controls, ends, np.array(self._settings), flight)

@@ -118,8 +118,67 @@ class HoldOffSight:
         return level_flight(towards(headings, belief.platforms, self._step), belief)
 
 
+class OpenBaseline:
+    """Stations go off their lines of sight to both sides at full speed, and bend forward as the sights cross.
+
+    Looking along the mean line of sight the leftmost of s stations goes left by the angle, the rightmost right, those
+    between them by proportionate parts, a middle one straight ahead. The angle falls from `wide_deg` where lines of
+    sight are parallel to `narrow_deg` where any two of them cross at `crossing_deg` or more.
+
+    Args:
+        scenario: supplies step, number of steps and turn rate limit.
+        wide_deg: off the line of sight, 0 to 180.
+        narrow_deg: the same, never bent forward if it equals `wide_deg`; None for that.
+        crossing_deg: above 0, at most 180.
+        drive_steps: steps after which the stations stop for good; None for none.
+    Raises:
+        ValueError: an angle or a number of steps outside its range.
+    """
+
+    def __init__(
+        self, scenario: Any, wide_deg: float, narrow_deg: float | None = None, crossing_deg: float = 90.0,
+        drive_steps: int | None = None,
+    ):  # fmt: skip
+        narrow_deg = wide_deg if narrow_deg is None else narrow_deg
+        for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg)):
+            if not 0.0 <= angle <= 180.0:
+                raise ValueError(f"{name} = {angle!r}: must lie in [0, 180]")
+        if not 0.0 < crossing_deg <= 180.0:
+            raise ValueError(f"crossing_deg = {crossing_deg!r}: must lie in (0, 180]")
+        if drive_steps is not None and drive_steps < 0:
+            raise ValueError(f"drive_steps = {drive_steps!r}: must be at least 0, or None")
+        self._wide, self._narrow, self._crossing = np.radians([wide_deg, narrow_deg, crossing_deg])
+        self._steps, self._drive_steps = scenario.steps, scenario.steps if drive_steps is None else drive_steps
+        self._turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Turn towards the angle of the moment at the limit; full speed until the stations stop."""
+        sight = line_of_sight(belief.platforms, belief.mean)
+        bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
+        angle = self._wide + (self._narrow - self._wide) * bent
+        turns = towards(sight + _fan(belief) * angle[:, None], belief.platforms, self._turn_per_step)
+        driving = self._steps - belief.steps_left < self._drive_steps
+        return np.concatenate([turns, np.where(driving[:, None], np.ones_like(turns), -1.0)], axis=-1)
+
+
+def _fan(belief: Belief) -> np.ndarray:
+    """Places [e, s] of stations across the mean line of sight, from +1 for the leftmost to −1 for the rightmost."""
+    sight, places = middle_sight(belief)[:, None], belief.platforms[..., :2]
+    across = np.cos(sight) * places[..., 1] - np.sin(sight) * places[..., 0]
+    ranks = np.argsort(np.argsort(-across, axis=1, kind="stable"), axis=1)
+    return 1.0 - 2.0 * ranks / (places.shape[1] - 1)
+
+
+def _widest_crossing(sight: np.ndarray) -> np.ndarray:
+    """The largest angle [e] rad between any two of the directions [e, s] rad."""
+    return np.abs(wrap(sight[:, :, None] - sight[:, None])).max(axis=(1, 2))
+
+
 def middle_sight(belief: Belief) -> np.ndarray:
-    """Direction [e] rad from two platforms' midpoint to the middle of the tracks."""
+    """Direction [e] rad from the platforms' midpoint to the middle of the tracks."""
     to_tracks = belief.mean[..., :2].mean(axis=1) - belief.platforms[..., :2].mean(axis=1)
     return np.arctan2(to_tracks[:, 1], to_tracks[:, 0])
 
@@ -272,3 +331,9 @@ IN_SPACE = {
 }
 """Makers (scenario, seed) for two platforms in space. `rule` is the strongest found, `rule_60` holds the one angle that
 is best in the final error where platforms turn fast."""
+
+OPEN_BASELINE = {
+    "open": lambda scenario, seed: OpenBaseline(scenario, 90.0),
+    "rule": lambda scenario, seed: OpenBaseline(scenario, 90.0, 20.0, 70.0),
+}
+"""Makers (scenario, seed) for stations whose bearings become position fixes."""
