@@ -216,8 +216,8 @@ def _stage(u, quiet, speed, limits):
     return min(abs(gain) / size, limits[3]), size if gain > 0.0 else -size, 0.0
 
 
-@kernel("(x),(n,q),(l),(),(k)->(k,x),(k,p)")
-def _random_maneuvers(start, u, limits, step_s, like, path, acceleration):
+@kernel("(x),(n,q),(l),(),(k),(p)->(k,x),(k,p)")
+def _random_maneuvers(start, u, limits, step_s, like, like_p, path, acceleration):
     state = start.copy()
     stage, t, until, a, w = 0, 0.0, 0.0, 0.0, 0.0
     for k in range(like.shape[0]):
@@ -253,7 +253,7 @@ def random_maneuvers(start, uniforms, limits, step_s, steps_axis):
         [..., k + 1, 4] exact states at multiples of the step; [..., k + 1, 2] m/s², the accelerations there (of what
         begins, where one ends and another begins).
     """
-    return _random_maneuvers(start, uniforms, limits, step_s, steps_axis)
+    return _random_maneuvers(start, uniforms, limits, step_s, steps_axis, np.empty(2))
 
 
 @kernel("(x),(t),(t,w),(),(k)->(k,x)")

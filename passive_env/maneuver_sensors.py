@@ -83,13 +83,16 @@ class AzimuthSensors:
         return ManeuverSighting(BearingScan(bearings, valid, platforms[..., :2], std), truth, acceleration)
 
     def acquired(self, sighting: ManeuverSighting, state: Any) -> ManeuverReports:
-        """What the first scan brought: a track from every station's azimuth."""
-        e, m, _ = sighting.truth.shape
-        return self._reports(sighting, state, self._tracker.model_probability(state), np.ones((e, m), dtype=bool))
+        """What the first scan brought: a track from every station's azimuth; no model is likelier than another."""
+        shape = (*sighting.truth.shape[:2], self._tracker.models)
+        even, none = np.full(shape, 1.0 / shape[-1]), np.zeros(shape, dtype=bool)
+        return self._reports(sighting, state, even, none, np.ones(shape[:2], dtype=bool))
 
     def report(self, sighting: ManeuverSighting, update: ManeuverUpdate) -> ManeuverReports:
         """What a scan brought, by the tracker's own account."""
-        return self._reports(sighting, update.posterior, update.model_probability, update.fixed, update.detected)
+        return self._reports(
+            sighting, update.posterior, update.model_probability, update.detected, np.asarray(update.fixed)
+        )
 
     def info(self, reports: ManeuverReports) -> dict[str, Any]:
         """What the tracker makes of the target's maneuvers."""
@@ -98,12 +101,11 @@ class AzimuthSensors:
             "acceleration": reports.acceleration, "fixed": reports.fixed,
         }  # fmt: skip
 
-    def _reports(self, sighting: ManeuverSighting, state, probability, fixed, detected=None) -> ManeuverReports:
+    def _reports(self, sighting: ManeuverSighting, state, probability, detected, fixed) -> ManeuverReports:
         valid = sighting.scan.valid
         e, m, _ = sighting.truth.shape
         return ManeuverReports(
             valid[:, None] & fixed[..., None], np.add.reduce(valid, axis=-1), np.empty((e, m, 0)),
-            np.empty((e, 0, 2), dtype=bool), probability,
-            np.zeros(probability.shape, dtype=bool) if detected is None else detected,
-            self._tracker.acceleration(state).mean, fixed, sighting.acceleration,
+            np.empty((e, 0, 2), dtype=bool), probability, detected, self._tracker.acceleration(state).mean, fixed,
+            sighting.acceleration,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The tape of scenarios with a maneuvering target: its path and acceleration, noise of azimuths (see `passive_env.tape`)."""
+"""The tape of scenarios with a maneuvering target: path, acceleration, azimuth noise (see `passive_env.tape`)."""
 
 from __future__ import annotations
 
