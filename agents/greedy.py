@@ -22,6 +22,9 @@ TURN_LEVELS = 9
 OFF_SIGHT_DEG = 80.0
 """Angle off the line of sight at which sides are compared."""
 
+TURN_WITHIN = 0.5 * math.pi
+"""Angle between course and heading above which a station that turns on the spot waits."""
+
 DRIVE_STEPS = (1, 3, 7, 15)
 """Steps driven, of stations that stop to measure."""
 
@@ -105,10 +108,10 @@ class Greedy:
 class FixGreedy(Greedy):
     """Tries headings and speeds held for some steps, of stations whose bearings become position fixes.
 
-    Which side every station goes to is decided first: `OFF_SIGHT_DEG` off its line of sight, for all patterns of left and
-    right, or straight on, or all stopping. Then the stations are improved in turn: headings all about the line of
-    sight at full speed, or to stop. Stations that measure only when slow drive for some of `DRIVE_STEPS`, all of them,
-    and then stop.
+    Which side every station goes to is decided first: `OFF_SIGHT_DEG` off its line of sight, for all patterns of left
+    and right, turning on the way or on the spot; or all go straight on, or all stop. Then the stations are improved in
+    turn: headings all about the line of sight, turning on the way or on the spot, or to stop. Stations that measure
+    only when slow drive for some of `DRIVE_STEPS`, all of them, and then stop.
 
     Args:
         as of `Greedy`, without `controls`.
@@ -117,11 +120,11 @@ class FixGreedy(Greedy):
     """
 
     def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
-        """The best controls [e, 2 s] of the first leg."""
+        """The best controls [e, 3 s] of the first leg."""
         return self.plan(start, mean)[0][:, 0]
 
     def plan(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The best controls [e, g, 2 s] and ends of legs [e, g]."""
+        """The best controls [e, g, 3 s] and ends of legs [e, g]."""
         controls, ends = self._patterns(start, mean)
         best, ends = self._better(start, controls, ends)
         stations = start.platforms.shape[1]
@@ -137,39 +140,45 @@ class FixGreedy(Greedy):
         return controls[rows, choice], ends[rows, choice]
 
     def _patterns(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Controls [e, c, g, 2 s] and ends [e, c, g]: straight on, to all patterns of sides, or stopped."""
-        platforms = start.platforms
-        signs = np.array(list(itertools.product((1.0, -1.0), repeat=platforms.shape[1])))
-        sides = line_of_sight(platforms, mean)[:, None] + math.radians(OFF_SIGHT_DEG) * signs
-        go_on = self.prediction.held(platforms)[:, None]
-        stop = _with_speed(go_on, -1.0)
-        apart = np.concatenate([sides, np.ones_like(sides)], axis=-1)
-        drives = np.concatenate([go_on, apart], axis=1)
+        """Controls [e, c, g, 3 s] and ends [e, c, g]: straight on, stopped, to all patterns of sides."""
+        stations = start.platforms.shape[1]
+        signs = np.array(list(itertools.product((1.0, -1.0), repeat=stations)))
+        sides = line_of_sight(start.platforms, mean)[:, None] + math.radians(OFF_SIGHT_DEG) * signs
+        apart = [_controls(sides, 1.0, within) for within in (math.pi, TURN_WITHIN)]
+        drives = np.concatenate([self.prediction.held(start.platforms)[:, None], *apart], axis=1)
+        stop = _stopped(drives[:, :1])
         if not self.prediction.stops_to_measure:
             controls = np.concatenate([drives, stop], axis=1)[:, :, None]
             return controls, np.broadcast_to(start.steps[:, None, None], controls.shape[:3])
-        legs = np.stack([drives, _with_speed(drives, -1.0)], axis=2)
+        legs = np.stack([drives, _stopped(drives)], axis=2)
         controls = np.concatenate([np.repeat(stop[:, :, None], 2, axis=2), *[legs] * len(DRIVE_STEPS)], axis=1)
         until = np.concatenate([[1], np.repeat(DRIVE_STEPS, drives.shape[1])])
-        ends = np.minimum(until[:, None], start.steps[:, None, None])
-        return controls, np.concatenate(np.broadcast_arrays(ends, start.steps[:, None, None]), axis=-1)
+        last = start.steps[:, None]
+        return controls, np.stack(np.broadcast_arrays(np.minimum(until, last), last), axis=-1)
 
     def _moves(self, start: Situation, mean: np.ndarray, best: np.ndarray, station: int) -> np.ndarray:
-        """Plans [e, c, g, 2 s] in which one station goes another way than in the best one so far [e, g, 2 s]."""
+        """Plans [e, c, g, 3 s] in which one station goes another way than in the best one so far [e, g, 3 s]."""
         stations = start.platforms.shape[1]
         sight = line_of_sight(start.platforms[:, station : station + 1], mean)
         ways = np.concatenate([course(start.platforms)[:, station, None], sight + _directions(self._headings)], axis=-1)
-        plans = np.repeat(best[:, None], ways.shape[1] + 2, axis=1)
-        plans[:, 2:, :, station] = ways[..., None]
+        count = ways.shape[1]
+        plans = np.repeat(best[:, None], 2 * count + 2, axis=1)
         plans[:, 1, :, stations + station] = -1.0
+        plans[:, 2:, :, station] = np.tile(ways, 2)[..., None]
         plans[:, 2:, 0, stations + station] = 1.0
+        plans[:, 2 : 2 + count, :, 2 * stations + station] = math.pi
+        plans[:, 2 + count :, :, 2 * stations + station] = TURN_WITHIN
         return plans
 
 
-def _with_speed(controls: np.ndarray, speed: float) -> np.ndarray:
-    """Controls [..., 2 s] with all speeds replaced."""
-    headings, speeds = np.split(controls, 2, axis=-1)
-    return np.concatenate([headings, np.full_like(speeds, speed)], axis=-1)
+def _controls(headings: np.ndarray, speed: float, within: float) -> np.ndarray:
+    """Controls [..., 3 s] of headings [..., s] and one speed and angle for all stations."""
+    return np.concatenate([headings, np.full_like(headings, speed), np.full_like(headings, within)], axis=-1)
+
+
+def _stopped(controls: np.ndarray) -> np.ndarray:
+    """Controls [..., 3 s] with the lowest speed for all stations."""
+    return _controls(controls[..., : controls.shape[-1] // 3], -1.0, math.pi)
 
 
 def _shares(count: int) -> np.ndarray:

@@ -21,8 +21,9 @@ from trackers.angles import wrap
 NARROWEST_RAD = math.radians(3.0)
 """The search never narrows below this spread per heading."""
 
-SPEED_SPREAD = 0.5
-"""Spread of the first round's speeds, as commands in [−1, 1], about the best plan known."""
+SPEED_SPREAD, WITHIN_SPREAD = 0.5, 0.5
+"""Spread of the first round's speeds, as commands in [−1, 1], and of the angles [rad] outside which stations turn on the
+spot, about the best plan known."""
 
 
 class Plan(NamedTuple):
@@ -227,7 +228,7 @@ class FixPlanner(Planner):
         return FixGreedy(scenario, criterion=criterion, guard_m=guard_m)
 
     def _widest(self, width: int) -> np.ndarray:
-        return np.repeat([self._spread, SPEED_SPREAD], width // 2)
+        return np.repeat([self._spread, SPEED_SPREAD, WITHIN_SPREAD], width // 3)
 
 
 class FixOracle(Oracle, FixPlanner):

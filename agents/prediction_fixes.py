@@ -21,7 +21,7 @@ from agents.prediction import LARGEST, WORST, Prediction, Situation, intrusion, 
 from agents.steering import course, towards
 from passive_env.belief import Belief
 from passive_env.kinematics import arc
-from trackers.angles import wrap_scalar
+from trackers.angles import wrap, wrap_scalar
 from trackers.compiled import helper, kernel
 from trackers.measurement import slope
 
@@ -37,17 +37,19 @@ FLATTEST = 1e-12
 
 
 @helper
-def _drive(level, headings, speeds, ends, steps, T, limit, range_of_speed, flight):
+def _drive(level, headings, speeds, within, ends, steps, T, limit, range_of_speed, flight):
     """Places and speeds flight [k, 3] of a station after each of k steps of T seconds; legs as of `fly_legs`.
 
-    Turn by at most `limit` rad a step towards the leg's heading, at the leg's speed, a command in [−1, 1].
+    Turn by at most `limit` rad a step towards the leg's heading, at the leg's speed, a command in [−1, 1], or at the
+    lowest one while the course is farther from the heading than `within`.
     """
     x, y, heading, leg = level[0], level[1], math.atan2(level[3], level[2]), 0
     for k in range(steps):
         while leg < ends.shape[0] - 1 and k >= ends[leg]:
             leg += 1
-        turned = min(max(wrap_scalar(headings[leg] - heading), -limit), limit)
-        share = 0.5 * (min(max(speeds[leg], -1.0), 1.0) + 1.0)
+        missing = wrap_scalar(headings[leg] - heading)
+        turned = min(max(missing, -limit), limit)
+        share = 0.5 * (min(max(speeds[leg], -1.0), 1.0) + 1.0) if abs(missing) <= within[leg] else 0.0
         speed = range_of_speed[0] + share * (range_of_speed[1] - range_of_speed[0])
         forward, left = arc(speed, 0.0, turned / T, T)
         c, s = math.cos(heading), math.sin(heading)
@@ -120,8 +122,10 @@ def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flig
     stations = platforms.shape[0]
     for c in range(cost.shape[0]):
         for s in range(stations):
-            headings, speeds = controls[c, :, s], controls[c, :, stations + s]
-            _drive(platforms[s], headings, speeds, ends[c], steps, model[0], model[1], model[4:6], flight[:, s])
+            _drive(
+                platforms[s], controls[c, :, s], controls[c, :, stations + s], controls[c, :, 2 * stations + s],
+                ends[c], steps, model[0], model[1], model[4:6], flight[:, s],
+            )  # fmt: skip
         figure = penalty = 0.0
         for k in range(steps):
             penalty += intrusion(flight[k], paths[k], discs, model[9], model[10], model[11], model[12])
@@ -134,8 +138,9 @@ def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flig
 class FixPrediction(Prediction):
     """Costs of plans of stations that steer by turn rate and speed.
 
-    A plan's controls [e, c, g, 2 s] are the headings of all stations [rad], then their speeds as commands in [−1, 1],
-    from the scenario's lowest to its highest.
+    A plan's controls [e, c, g, 3 s] are the headings of all stations [rad], then their speeds as commands in [−1, 1],
+    from the scenario's lowest to its highest, then the angles [rad] between course and heading within which they have
+    these speeds; outside, a station turns at its lowest speed: on the spot, if that is 0.
 
     Args:
         scenario: supplies step, limits of turn rate and speed, the speed at which stations measure, noise of azimuths,
@@ -160,15 +165,16 @@ class FixPrediction(Prediction):
         self.stops_to_measure = self.measuring < self._settings[5]
 
     def held(self, platforms: np.ndarray) -> np.ndarray:
-        """Controls [e, 2 s]: hold the heading, at full speed."""
+        """Controls [e, 3 s]: hold the heading, at full speed."""
         headings = course(platforms)
-        return np.concatenate([headings, np.ones_like(headings)], axis=-1)
+        return np.concatenate([headings, np.ones_like(headings), np.full_like(headings, math.pi)], axis=-1)
 
     def commands(self, controls: np.ndarray, belief: Belief) -> np.ndarray:
         """Turn commands towards the headings, then speeds."""
-        headings, speeds = np.split(controls, 2, axis=-1)
+        headings, speeds, within = np.split(controls, 3, axis=-1)
+        near = np.abs(wrap(headings - course(belief.platforms))) <= within
         turns = towards(headings, belief.platforms, self.turn_per_step)
-        return np.concatenate([turns, np.clip(speeds, -1.0, 1.0)], axis=-1)
+        return np.concatenate([turns, np.where(near, np.clip(speeds, -1.0, 1.0), -1.0)], axis=-1)
 
     def _numbers(self, scenario: Any) -> tuple[float, ...]:
         std = 1e-3 * scenario.azimuth_std_mrad

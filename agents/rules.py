@@ -130,6 +130,8 @@ class OpenBaseline:
         wide_deg: off the line of sight, 0 to 180.
         narrow_deg: the same, never bent forward if it equals `wide_deg`; None for that.
         crossing_deg: above 0, at most 180.
+        within_deg: a station whose course is farther from where it should head than this turns at its lowest speed, on
+            the spot if that is 0; 180 never waits.
         drive_steps: steps after which the stations stop for good; None for none.
     Raises:
         ValueError: an angle or a number of steps outside its range.
@@ -137,17 +139,18 @@ class OpenBaseline:
 
     def __init__(
         self, scenario: Any, wide_deg: float, narrow_deg: float | None = None, crossing_deg: float = 90.0,
-        drive_steps: int | None = None,
+        within_deg: float = 90.0, drive_steps: int | None = None,
     ):  # fmt: skip
         narrow_deg = wide_deg if narrow_deg is None else narrow_deg
-        for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg)):
+        for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg), ("within_deg", within_deg)):
             if not 0.0 <= angle <= 180.0:
                 raise ValueError(f"{name} = {angle!r}: must lie in [0, 180]")
         if not 0.0 < crossing_deg <= 180.0:
             raise ValueError(f"crossing_deg = {crossing_deg!r}: must lie in (0, 180]")
         if drive_steps is not None and drive_steps < 0:
             raise ValueError(f"drive_steps = {drive_steps!r}: must be at least 0, or None")
-        self._wide, self._narrow, self._crossing = np.radians([wide_deg, narrow_deg, crossing_deg])
+        angles = np.radians([wide_deg, narrow_deg, crossing_deg, within_deg])
+        self._wide, self._narrow, self._crossing, self._within = angles
         self._steps, self._drive_steps = scenario.steps, scenario.steps if drive_steps is None else drive_steps
         self._turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
 
@@ -159,9 +162,11 @@ class OpenBaseline:
         sight = line_of_sight(belief.platforms, belief.mean)
         bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
         angle = self._wide + (self._narrow - self._wide) * bent
-        turns = towards(sight + _fan(belief) * angle[:, None], belief.platforms, self._turn_per_step)
-        driving = self._steps - belief.steps_left < self._drive_steps
-        return np.concatenate([turns, np.where(driving[:, None], np.ones_like(turns), -1.0)], axis=-1)
+        headings = sight + _fan(belief) * angle[:, None]
+        near = np.abs(wrap(headings - course(belief.platforms))) <= self._within
+        driving = near & (self._steps - belief.steps_left < self._drive_steps)[:, None]
+        turns = towards(headings, belief.platforms, self._turn_per_step)
+        return np.concatenate([turns, np.where(driving, 1.0, -1.0)], axis=-1)
 
 
 def _fan(belief: Belief) -> np.ndarray:
