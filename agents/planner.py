@@ -22,8 +22,8 @@ NARROWEST_RAD = math.radians(3.0)
 """The search never narrows below this spread per heading."""
 
 SPEED_SPREAD, WITHIN_SPREAD = 0.5, 0.5
-"""Spread of the first round's speeds, as commands in [−1, 1], and of the angles [rad] outside which stations turn on the
-spot, about the best plan known."""
+"""Spread of the first round's speeds, as commands in [−1, 1], and of the angles [rad] outside which stations turn on
+the spot, about the best plan known."""
 
 
 class Plan(NamedTuple):

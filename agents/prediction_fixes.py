@@ -1,7 +1,7 @@
 """The predicted cost of plans of stations whose bearings become position fixes (see `agents.prediction`).
 
-A plan says where every station heads and how fast it moves. The tracker of a maneuvering target is predicted as a filter
-at constant velocity with an effective maneuver noise, which takes one fix a scan:
+A plan says where every station heads and how fast it moves. The tracker of a maneuvering target is predicted as a
+filter at constant velocity with an effective maneuver noise, which takes one fix a scan:
 
     P⁻ = Φ P Φᵀ + q² G Gᵀ,   M = Σ_s hᵀ h / σ²,   W = (I + M A)⁻¹ M,   P = P⁻ − P⁻ Eᵀ W E P⁻
 

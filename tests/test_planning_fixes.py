@@ -61,7 +61,7 @@ def commands_of(belief, policy):
 
 
 def expected_cost(belief, row, fields, criterion, plan, ends, steps, guard_m):
-    """One plan's cost: the environment's own motion, a fix's covariance R = (Σ hᵀh/σ²)⁻¹ and a Kalman filter with it."""
+    """One plan's cost: the environment's own motion, a fix's covariance R = (Σ hᵀh/σ²)⁻¹ in a Kalman filter."""
     T, limit = fields.step_s, math.radians(fields.max_turn_rate_deg_s)
     F, Q = transition(T), process_noise(T, MANEUVER_NOISE_M_S2 * T)
     H = np.eye(2, 4)
