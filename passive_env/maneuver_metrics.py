@@ -36,6 +36,7 @@ class ManeuverMetrics(NamedTuple):
         lost: far off without knowing it.
         position_crlb_m: the bound on the root mean square position error [m].
         acceleration_error_m_s2: length of the estimated minus the true acceleration.
+        fix_error_m: distance of the scan's position fix from the target; 0 where there is no fix.
         maneuvering: whether the target's true acceleration exceeds `MANEUVER_M_S2`.
     """
 
@@ -47,16 +48,18 @@ class ManeuverMetrics(NamedTuple):
     lost: Any
     position_crlb_m: Any
     acceleration_error_m_s2: Any
+    fix_error_m: Any
     maneuvering: Any
 
 
 @kernel(
-    "(m,x),(m,x,x),(m,p),(m,x),(m,p),(m,x,x),(s,x),(l)->(m,x,x),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
-    "FFFFFFFFFFFFFFBFFB",
+    "(m,x),(m,x,x),(m,p),(p),(),(m,x),(m,p),(m,x,x),(s,x),(l)"
+    "->(m,x,x),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
+    "FFFFbFFFFFFFFFFFBFFFB",
 )
-def _measure(mean, cov, acceleration, truth, true_acceleration, bound, platforms, limits,
+def _measure(mean, cov, acceleration, fix, fixed, truth, true_acceleration, bound, platforms, limits,
              new_bound, range_error, position_error, true_range, range_crlb, nees, lost, position_crlb,
-             acceleration_error, maneuvering):  # fmt: skip
+             acceleration_error, fix_error, maneuvering):  # fmt: skip
     T, q, var, fastest, lost_error, lost_nees = limits[0], limits[1], limits[2], limits[3], limits[4], limits[5]
     ref = platforms.shape[0] - 1
     sx, sy = platforms[ref, 0], platforms[ref, 1]
@@ -82,6 +85,8 @@ def _measure(mean, cov, acceleration, truth, true_acceleration, bound, platforms
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
         ax, ay = true_acceleration[m, 0], true_acceleration[m, 1]
         acceleration_error[m] = at_most(math.hypot(acceleration[m, 0] - ax, acceleration[m, 1] - ay), HARDEST_M_S2)
+        off = math.hypot(fix[0] - truth[m, 0], fix[1] - truth[m, 1])
+        fix_error[m] = min(off, FARTHEST_M) if fixed else 0.0
         maneuvering[m] = math.hypot(ax, ay) > MANEUVER_M_S2
 
 
@@ -120,7 +125,7 @@ class ManeuverFigures:
 
     def _measure(self, estimate, truth, bound, platforms, reports, limits) -> tuple[Any, ManeuverMetrics]:
         new_bound, *figures = _measure(
-            estimate.mean, estimate.cov, reports.acceleration, truth, reports.true_acceleration, bound, platforms,
+            estimate.mean, estimate.cov, reports.acceleration, reports.fix.position, reports.fix.fixed, truth, reports.true_acceleration, bound, platforms,
             limits,
         )  # fmt: skip
         return new_bound, ManeuverMetrics(*figures)

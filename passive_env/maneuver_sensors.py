@@ -11,6 +11,7 @@ from passive_env.maneuver_tape import ManeuverTape
 from trackers.angles import wrap_scalar
 from trackers.compiled import kernel
 from trackers.fix_contract import BearingScan, ManeuverUpdate
+from trackers.position_fix import PositionFix, fix_bearings
 
 
 class ManeuverSighting(NamedTuple):
@@ -32,6 +33,7 @@ class ManeuverReports(NamedTuple):
 
     Attributes:
         fixed: [e, m] bool, whether the azimuths crossed well enough for a position fix.
+        fix: the crossing itself, position [e, 2] m and covariance [e, 2, 2] m², 0 where there is none.
         true_acceleration: [e, m, 2] m/s², for the figures of merit only.
     """
 
@@ -43,6 +45,7 @@ class ManeuverReports(NamedTuple):
     detected: Any
     acceleration: Any
     fixed: Any
+    fix: PositionFix
     true_acceleration: Any
 
 
@@ -107,5 +110,5 @@ class AzimuthSensors:
         return ManeuverReports(
             valid[:, None] & fixed[..., None], np.add.reduce(valid, axis=-1), np.empty((e, m, 0)),
             np.empty((e, 0, 2), dtype=bool), probability, detected, self._tracker.acceleration(state).mean, fixed,
-            sighting.acceleration,
+            fix_bearings(*sighting.scan), sighting.acceleration,
         )  # fmt: skip

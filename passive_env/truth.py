@@ -69,7 +69,7 @@ class ManeuverTruthObservation:
 
     Fields after those, along and left of the line of sight from the reference:
 
-        truth0.radial_accelerationN truth0.cross_accelerationN   m/s²  true acceleration at the N-th of `AHEAD_S` / 30 m/s²
+        truth0.radial_accelerationN truth0.cross_accelerationN  m/s²  true, at the N-th of `AHEAD_S`, / 30 m/s²
         truth0.radial_acceleration_error truth0.cross_…         m/s²  estimate − truth, / 30 m/s²
         truth0.log_position_bound                               m     log(bound / 100 m) / 2
 

@@ -201,9 +201,9 @@ class ManeuveringTarget(TrackingScenario):
 
     def make_scene(self, figure: Any) -> Any:
         """The view from above, accelerations and model probabilities, in a matplotlib figure."""
-        from passive_env.render import Scene
+        from passive_env.render_maneuver import ManeuverScene
 
-        return Scene(figure, self.stations, self.targets, self.steps, self.standoff_m)
+        return ManeuverScene(figure, self)
 
     def move(self, platforms, command):
         """Stations [e, s, 4] after one step of commands [e, 2 s] in [−1, 1]: turns, then speeds."""
