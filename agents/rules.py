@@ -338,7 +338,7 @@ IN_SPACE = {
 is best in the final error where platforms turn fast."""
 
 OPEN_BASELINE = {
-    "open": lambda scenario, seed: OpenBaseline(scenario, 90.0),
-    "rule": lambda scenario, seed: OpenBaseline(scenario, 90.0, 20.0, 70.0),
+    "open": lambda scenario, seed: OpenBaseline(scenario, 85.0, within_deg=180.0),
+    "rule": lambda scenario, seed: OpenBaseline(scenario, 85.0, 20.0, 70.0),
 }
 """Makers (scenario, seed) for stations whose bearings become position fixes."""
