@@ -199,20 +199,24 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     state_size = env.world.truth.shape[-1]
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
     position = {} if scenario.score == "range" else _position(instants.scored_error_m, instants.scored_crlb_m)
-    return position | _turns(turns) | {
-        "range_error_m": instants.range_error_m.mean(-1),
-        "range_crlb_m": instants.range_crlb_m.mean(-1),
-        "lost": info["lost"].mean(-1),
-        "collapsed": collapsed.mean(-1),
-        "nees": info["nees"],
-        "off_sight_rad": instants.off_sight_rad,
-        "turns": instants.turns[:, 1:],
-        "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
-        "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
-        "seconds": seconds,
-        "state_size": state_size,
-        "paths": _first_paths(instants, env.world, scenario),
-    }
+    return (
+        position
+        | _turns(turns)
+        | {
+            "range_error_m": instants.range_error_m.mean(-1),
+            "range_crlb_m": instants.range_crlb_m.mean(-1),
+            "lost": info["lost"].mean(-1),
+            "collapsed": collapsed.mean(-1),
+            "nees": info["nees"],
+            "off_sight_rad": instants.off_sight_rad,
+            "turns": instants.turns[:, 1:],
+            "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
+            "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
+            "seconds": seconds,
+            "state_size": state_size,
+            "paths": _first_paths(instants, env.world, scenario),
+        }
+    )
 
 
 def _position(errors: np.ndarray, bounds: np.ndarray) -> dict[str, np.ndarray]:

@@ -53,8 +53,7 @@ class ManeuverMetrics(NamedTuple):
 
 
 @kernel(
-    "(m,x),(m,x,x),(m,p),(p),(),(m,x),(m,p),(m,x,x),(s,x),(l)"
-    "->(m,x,x),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
+    "(m,x),(m,x,x),(m,p),(p),(),(m,x),(m,p),(m,x,x),(s,x),(l)->(m,x,x),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
     "FFFFbFFFFFFFFFFFBFFFB",
 )
 def _measure(mean, cov, acceleration, fix, fixed, truth, true_acceleration, bound, platforms, limits,
@@ -124,8 +123,9 @@ class ManeuverFigures:
         return violations(platforms, truth, self._scenario.standoff_m, tape.discs)
 
     def _measure(self, estimate, truth, bound, platforms, reports, limits) -> tuple[Any, ManeuverMetrics]:
+        fix = reports.fix
         new_bound, *figures = _measure(
-            estimate.mean, estimate.cov, reports.acceleration, reports.fix.position, reports.fix.fixed, truth, reports.true_acceleration, bound, platforms,
-            limits,
+            estimate.mean, estimate.cov, reports.acceleration, fix.position, fix.fixed, truth,
+            reports.true_acceleration, bound, platforms, limits,
         )  # fmt: skip
         return new_bound, ManeuverMetrics(*figures)

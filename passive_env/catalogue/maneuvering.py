@@ -18,7 +18,6 @@ import numpy as np
 
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue.bearings import place_flight
-from passive_env.catalogue.maneuver_standin import CvFilter
 from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
 from passive_env.maneuver_metrics import ManeuverFigures
@@ -31,6 +30,7 @@ from passive_env.truth import ManeuverTruthObservation
 from trackers import MANEUVER_TRACKERS
 from trackers.compiled import kernel
 from trackers.fix_contract import ManeuverTracker
+from trackers.imm_mie import MIXINGS, ImmMie
 
 START_UNIFORMS = 6
 """Uniform numbers of an episode's start besides the stations' headings: line of sight, range, tilt of the baseline,
@@ -100,6 +100,9 @@ class ManeuveringTarget(TrackingScenario):
     azimuth_std_mrad: float = number(1.0, 1e-3, 200.0, "azimuth noise")
     detection_probability: float = number(1.0, 0.01, 1.0, "of the target by a station, after the first scan")
     tracker: Any = free("imm_mie", f"{' or '.join(MANEUVER_TRACKERS)}, or an object with the tracker contract")
+    mixing: str = choice("literal", MIXINGS, "how imm_mie mixes its filters: the paper's way, or a repair")
+    range_floor_m: float = number(5e3, 1.0, 1e7, "the tracker's prior of range, where azimuths do not fix it: 95 % …")
+    range_cap_m: float = number(1e5, 1.0, 1e7, "… lie between these two")
     initial_velocity_std_m_s: float = number(200.0, 1.0, 1e4, "the tracker's prior of velocity, per axis")
     standoff_m: float = number(0.0, 0.0, 1e5, "distance stations should keep from the target; 0 for none")
     range_min_m: float = number(15e3, 1e3, 1e6, "nearest drawn start of the target from the middle of the baseline")
@@ -172,10 +175,26 @@ class ManeuveringTarget(TrackingScenario):
             ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
         """
         if not isinstance(self.tracker, str):
-            return checked_tracker(self.tracker, ("acceleration",))
+            return self._checked(self.tracker)
         if self.tracker not in MANEUVER_TRACKERS:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, MANEUVER_TRACKERS))}")
-        return CvFilter(initial_velocity_std=self.initial_velocity_std_m_s)
+        make = MANEUVER_TRACKERS[self.tracker]
+        settings: dict[str, Any] = {"mixing": self.mixing} if issubclass(make, ImmMie) else {}
+        return make(
+            initial_velocity_std=self.initial_velocity_std_m_s,
+            floor_m=self.range_floor_m,
+            cap_m=self.range_cap_m,
+            **settings,
+        )
+
+    @staticmethod
+    def _checked(tracker: Any) -> ManeuverTracker:
+        """A user's tracker object, as it is."""
+        checked_tracker(tracker, ("acceleration",))
+        models = getattr(tracker, "models", None)
+        if not isinstance(models, int) or models < 1:
+            raise TypeError(f"tracker {tracker!r}: models is {models!r}, must be its number of models, 1 or more")
+        return tracker
 
     def make_actions(self) -> Continuous | Discrete:
         """Action codec: turn rates of all stations, then speeds."""
@@ -184,8 +203,7 @@ class ManeuveringTarget(TrackingScenario):
 
     def make_observation(self) -> ManeuverObservation:
         """Observation model."""
-        models: int = self.make_tracker().models
-        return ManeuverObservation(self.stations, self.steps, models, self.top_speed_m_s)
+        return ManeuverObservation(self.stations, self.steps, self.make_tracker().models, self.top_speed_m_s)
 
     def make_truth_observation(self) -> ManeuverTruthObservation:
         """What a critic may know in training."""
