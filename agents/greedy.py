@@ -25,8 +25,11 @@ OFF_SIGHT_DEG = 80.0
 TURN_WITHIN = 0.5 * math.pi
 """Angle between course and heading above which a station that turns on the spot waits."""
 
-DRIVE_STEPS = (1, 3, 7, 15)
-"""Steps driven, of stations that stop to measure."""
+HALTS = 8
+"""How often stations that stop to measure do so in a plan, every other step, before they stop for good."""
+
+HOLD = 10**6
+"""A number of steps that no episode has."""
 
 PASSES = 2
 """How often several platforms' controls are improved in turn."""
@@ -119,9 +122,15 @@ class FixGreedy(Greedy):
         ValueError: as of `Greedy`.
     """
 
+    @property
+    def legs(self) -> int:
+        """Legs of a plan; every other one is a halt where there are more than one."""
+        return 2 * HALTS if self.prediction.stops_to_measure else 1
+
     def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
-        """The best controls [e, 3 s] of the first leg."""
-        return self.plan(start, mean)[0][:, 0]
+        """The best controls [e, 3 s] of the first step."""
+        controls, ends = self.plan(start, mean)
+        return controls[np.arange(len(ends)), (ends > 0).argmax(axis=1)]
 
     def plan(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The best controls [e, g, 3 s] and ends of legs [e, g]."""
@@ -147,14 +156,17 @@ class FixGreedy(Greedy):
         apart = [_controls(sides, 1.0, within) for within in (math.pi, TURN_WITHIN)]
         drives = np.concatenate([self.prediction.held(start.platforms)[:, None], *apart], axis=1)
         stop = _stopped(drives[:, :1])
-        if not self.prediction.stops_to_measure:
+        last = start.steps[:, None, None]
+        if self.legs == 1:
             controls = np.concatenate([drives, stop], axis=1)[:, :, None]
-            return controls, np.broadcast_to(start.steps[:, None, None], controls.shape[:3])
-        legs = np.stack([drives, _stopped(drives)], axis=2)
-        controls = np.concatenate([np.repeat(stop[:, :, None], 2, axis=2), *[legs] * len(DRIVE_STEPS)], axis=1)
-        until = np.concatenate([[1], np.repeat(DRIVE_STEPS, drives.shape[1])])
-        last = start.steps[:, None]
-        return controls, np.stack(np.broadcast_arrays(np.minimum(until, last), last), axis=-1)
+            return controls, np.broadcast_to(last, controls.shape[:3])
+        drive_and_halt = np.tile(np.stack([drives, _stopped(drives)], axis=2), (1, 1, HALTS, 1))
+        stay = np.repeat(stop[:, :, None], self.legs, axis=2)
+        number = np.arange(self.legs)
+        once = np.where(number == 0, 1, HOLD)
+        ends = np.concatenate([number[None] + 1, np.repeat([number + 1, number, once], drives.shape[1], axis=0)])
+        controls = np.concatenate([stay, *[drive_and_halt] * 3], axis=1)
+        return controls, np.minimum(ends, last)
 
     def _moves(self, start: Situation, mean: np.ndarray, best: np.ndarray, station: int) -> np.ndarray:
         """Plans [e, c, g, 3 s] in which one station goes another way than in the best one so far [e, g, 3 s]."""
@@ -165,7 +177,7 @@ class FixGreedy(Greedy):
         plans = np.repeat(best[:, None], 2 * count + 2, axis=1)
         plans[:, 1, :, stations + station] = -1.0
         plans[:, 2:, :, station] = np.tile(ways, 2)[..., None]
-        plans[:, 2:, 0, stations + station] = 1.0
+        plans[:, 2:, ::2, stations + station] = 1.0
         plans[:, 2 : 2 + count, :, 2 * stations + station] = math.pi
         plans[:, 2 + count :, :, 2 * stations + station] = TURN_WITHIN
         return plans

@@ -214,6 +214,9 @@ class FixPlanner(Planner):
 
     _greedy: FixGreedy
 
+    def __init__(self, scenario: Any, segments: int = 4, **settings: Any):
+        super().__init__(scenario, segments=max(segments, FixGreedy(scenario).legs), **settings)
+
     def known_plans(self, start: Situation, mean: np.ndarray, previous: Plan) -> Plan:
         """Plans [e, 3, …] to begin with, as those of `Planner`, the greedy ones with their stops."""
         near = start._replace(steps=np.minimum(start.steps, self._greedy.horizon))

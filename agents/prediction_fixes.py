@@ -20,7 +20,7 @@ import numpy as np
 from agents.prediction import LARGEST, WORST, Prediction, Situation, intrusion, predict_numbers
 from agents.steering import course, towards
 from passive_env.belief import Belief
-from passive_env.kinematics import arc
+from passive_env.kinematics import turned_by
 from trackers.angles import wrap, wrap_scalar
 from trackers.compiled import helper, kernel
 from trackers.measurement import slope
@@ -44,6 +44,8 @@ def _drive(level, headings, speeds, within, ends, steps, T, limit, range_of_spee
     lowest one while the course is farther from the heading than `within`.
     """
     x, y, heading, leg = level[0], level[1], math.atan2(level[3], level[2]), 0
+    ux, uy = math.cos(heading), math.sin(heading)
+    straight, hardest = turned_by(0.0, T), turned_by(limit, T)
     for k in range(steps):
         while leg < ends.shape[0] - 1 and k >= ends[leg]:
             leg += 1
@@ -51,11 +53,32 @@ def _drive(level, headings, speeds, within, ends, steps, T, limit, range_of_spee
         turned = min(max(missing, -limit), limit)
         share = 0.5 * (min(max(speeds[leg], -1.0), 1.0) + 1.0) if abs(missing) <= within[leg] else 0.0
         speed = range_of_speed[0] + share * (range_of_speed[1] - range_of_speed[0])
-        forward, left = arc(speed, 0.0, turned / T, T)
-        c, s = math.cos(heading), math.sin(heading)
-        x, y = x + c * forward - s * left, y + s * forward + c * left
         heading += turned
+        if abs(turned) <= 1e-9:
+            c, s, along, across = straight
+        elif abs(turned) < limit:
+            c, s, along, across = turned_by(turned, T)
+        else:
+            c, s, along, across = hardest
+            if turned < 0.0:
+                s, across = -s, -across
+        x, y = x + speed * (along * ux - across * uy), y + speed * (along * uy + across * ux)
+        ux, uy = c * ux - s * uy, s * ux + c * uy
         flight[k, 0], flight[k, 1], flight[k, 2] = x, y, speed
+
+
+@helper
+def _same(controls, ends, c, s, stations):
+    """Whether station s does in plan c what it did in the plan before."""
+    if c == 0:
+        return False
+    for g in range(ends.shape[1]):
+        if ends[c, g] != ends[c - 1, g]:
+            return False
+        for i in range(3):
+            if controls[c, g, i * stations + s] != controls[c - 1, g, i * stations + s]:
+                return False
+    return True
 
 
 @helper
@@ -122,6 +145,8 @@ def _plan_costs(platforms, paths, cov, discs, steps, controls, ends, model, flig
     stations = platforms.shape[0]
     for c in range(cost.shape[0]):
         for s in range(stations):
+            if _same(controls, ends, c, s, stations):
+                continue  # most searches vary one station at a time
             _drive(
                 platforms[s], controls[c, :, s], controls[c, :, stations + s], controls[c, :, 2 * stations + s],
                 ends[c], steps, model[0], model[1], model[4:6], flight[:, s],

@@ -121,9 +121,9 @@ class HoldOffSight:
 class OpenBaseline:
     """Stations go off their lines of sight to both sides at full speed, and bend forward as the sights cross.
 
-    Looking along the mean line of sight the leftmost of s stations goes left by the angle, the rightmost right, those
-    between them by proportionate parts, a middle one straight ahead. The angle falls from `wide_deg` where lines of
-    sight are parallel to `narrow_deg` where any two of them cross at `crossing_deg` or more.
+    Looking along the mean line of sight the left half of them goes left, the right half right, a middle one to the side
+    it heads for. The angle falls from `wide_deg` where lines of sight are parallel to `narrow_deg` where any two of
+    them cross at `crossing_deg` or more.
 
     Args:
         scenario: supplies step, number of steps and turn rate limit.
@@ -132,14 +132,14 @@ class OpenBaseline:
         crossing_deg: above 0, at most 180.
         within_deg: a station whose course is farther from where it should head than this turns at its lowest speed, on
             the spot if that is 0; 180 never waits.
-        drive_steps: steps after which the stations stop for good; None for none.
+        halt_every: all stations halt on every so-manieth step, to measure; None for never.
     Raises:
         ValueError: an angle or a number of steps outside its range.
     """
 
     def __init__(
         self, scenario: Any, wide_deg: float, narrow_deg: float | None = None, crossing_deg: float = 90.0,
-        within_deg: float = 90.0, drive_steps: int | None = None,
+        within_deg: float = 90.0, halt_every: int | None = None,
     ):  # fmt: skip
         narrow_deg = wide_deg if narrow_deg is None else narrow_deg
         for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg), ("within_deg", within_deg)):
@@ -147,11 +147,11 @@ class OpenBaseline:
                 raise ValueError(f"{name} = {angle!r}: must lie in [0, 180]")
         if not 0.0 < crossing_deg <= 180.0:
             raise ValueError(f"crossing_deg = {crossing_deg!r}: must lie in (0, 180]")
-        if drive_steps is not None and drive_steps < 0:
-            raise ValueError(f"drive_steps = {drive_steps!r}: must be at least 0, or None")
+        if halt_every is not None and halt_every < 1:
+            raise ValueError(f"halt_every = {halt_every!r}: must be at least 1, or None")
         angles = np.radians([wide_deg, narrow_deg, crossing_deg, within_deg])
         self._wide, self._narrow, self._crossing, self._within = angles
-        self._steps, self._drive_steps = scenario.steps, scenario.steps if drive_steps is None else drive_steps
+        self._steps, self._halt_every = scenario.steps, halt_every
         self._turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
 
     def reset(self, belief: Belief) -> None:
@@ -162,19 +162,29 @@ class OpenBaseline:
         sight = line_of_sight(belief.platforms, belief.mean)
         bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
         angle = self._wide + (self._narrow - self._wide) * bent
-        headings = sight + _fan(belief) * angle[:, None]
+        headings = sight + _outward(belief) * angle[:, None]
         near = np.abs(wrap(headings - course(belief.platforms))) <= self._within
-        driving = near & (self._steps - belief.steps_left < self._drive_steps)[:, None]
+        driving = near & ~self._halts(belief)[:, None]
         turns = towards(headings, belief.platforms, self._turn_per_step)
         return np.concatenate([turns, np.where(driving, 1.0, -1.0)], axis=-1)
 
+    def _halts(self, belief: Belief) -> np.ndarray:
+        """[e] whether this is a step on which all halt."""
+        number = self._steps - belief.steps_left + 1
+        return np.zeros(len(number), dtype=bool) if self._halt_every is None else number % self._halt_every == 0
 
-def _fan(belief: Belief) -> np.ndarray:
-    """Places [e, s] of stations across the mean line of sight, from +1 for the leftmost to −1 for the rightmost."""
+
+def _outward(belief: Belief) -> np.ndarray:
+    """Sides [e, s] of stations across the mean line of sight: +1 for the left half, −1 for the right half.
+
+    A station in the middle of an odd number goes to the side of its own line of sight that its course is on.
+    """
     sight, places = middle_sight(belief)[:, None], belief.platforms[..., :2]
     across = np.cos(sight) * places[..., 1] - np.sin(sight) * places[..., 0]
     ranks = np.argsort(np.argsort(-across, axis=1, kind="stable"), axis=1)
-    return 1.0 - 2.0 * ranks / (places.shape[1] - 1)
+    fan = np.sign(places.shape[1] - 1 - 2 * ranks)
+    off = wrap(course(belief.platforms) - line_of_sight(belief.platforms, belief.mean))
+    return np.where(fan == 0, np.where(off >= 0.0, 1.0, -1.0), fan)
 
 
 def _widest_crossing(sight: np.ndarray) -> np.ndarray:
@@ -337,8 +347,16 @@ IN_SPACE = {
 """Makers (scenario, seed) for two platforms in space. `rule` is the strongest found, `rule_60` holds the one angle that
 is best in the final error where platforms turn fast."""
 
-OPEN_BASELINE = {
-    "open": lambda scenario, seed: OpenBaseline(scenario, 85.0, within_deg=180.0),
-    "rule": lambda scenario, seed: OpenBaseline(scenario, 85.0, 20.0, 70.0),
-}
+FULL_SPEED, BEST_OPENING = (80.0, 80.0, 90.0, 180.0), (85.0, 20.0, 70.0, 90.0)
+"""Angles of `OpenBaseline`, in its order."""
+
+
+def _opening(angles: tuple[float, ...]) -> Any:
+    """A maker (scenario, seed); stations that measure only when slow halt on every other step."""
+    return lambda scenario, seed: OpenBaseline(
+        scenario, *angles, halt_every=2 if scenario.carrier == "ground" else None
+    )
+
+
+OPEN_BASELINE = {"open": _opening(FULL_SPEED), "rule": _opening(BEST_OPENING)}
 """Makers (scenario, seed) for stations whose bearings become position fixes."""

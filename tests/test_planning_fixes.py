@@ -8,7 +8,7 @@ import pytest
 from twin_worlds import fly_twins
 
 from agents.evaluation import fly
-from agents.greedy import DRIVE_STEPS, FixGreedy
+from agents.greedy import FixGreedy
 from agents.planner import FixOracle, FixPlanner, Plan
 from agents.policy import make_policy
 from agents.prediction import GUARD_PER_S, STANDOFF_PER_S, WORST
