@@ -89,13 +89,11 @@ class AzimuthSensors:
         """What the first scan brought: a track from every station's azimuth; no model is likelier than another."""
         shape = (*sighting.truth.shape[:2], self._tracker.models)
         even, none = np.full(shape, 1.0 / shape[-1]), np.zeros(shape, dtype=bool)
-        return self._reports(sighting, state, even, none, np.ones(shape[:2], dtype=bool))
+        return self._reports(sighting, state, even, none, None)
 
     def report(self, sighting: ManeuverSighting, update: ManeuverUpdate) -> ManeuverReports:
         """What a scan brought, by the tracker's own account."""
-        return self._reports(
-            sighting, update.posterior, update.model_probability, update.detected, np.asarray(update.fixed)
-        )
+        return self._reports(sighting, update.posterior, update.model_probability, update.detected, update.fixed)
 
     def info(self, reports: ManeuverReports) -> dict[str, Any]:
         """What the tracker makes of the target's maneuvers."""
@@ -105,10 +103,11 @@ class AzimuthSensors:
         }  # fmt: skip
 
     def _reports(self, sighting: ManeuverSighting, state, probability, detected, fixed) -> ManeuverReports:
-        valid = sighting.scan.valid
+        valid, fix = sighting.scan.valid, fix_bearings(*sighting.scan)
         e, m, _ = sighting.truth.shape
+        fixed = np.broadcast_to(fix.fixed[:, None], (e, m)) if fixed is None else fixed
         return ManeuverReports(
             valid[:, None] & fixed[..., None], np.add.reduce(valid, axis=-1), np.empty((e, m, 0)),
             np.empty((e, 0, 2), dtype=bool), probability, detected, self._tracker.acceleration(state).mean, fixed,
-            fix_bearings(*sighting.scan), sighting.acceleration,
+            fix, sighting.acceleration,
         )  # fmt: skip

@@ -195,6 +195,9 @@ class Scene:
         box: left, bottom, width, height of the axes as shares of the picture.
     """
 
+    legend_columns = 4
+    """Of more than six samples: two rows have room."""
+
     def __init__(
         self, figure: Figure, stations: int, targets: int, steps: int, standoff_m: float = 0.0, box: Any = AXES_BOX
     ):
@@ -261,7 +264,7 @@ class Scene:
         set_limits(self._axes, frame)
         samples = legend_samples(hypotheses, world.platforms.shape[1] > 1)
         samples += zone_samples(world.tape.discs.shape[1] > 0, self._standoff_m > 0.0) + self._more_samples()
-        bottom_legend(self._figure, samples, columns=3 if len(samples) <= 6 else 4)  # two rows have room
+        bottom_legend(self._figure, samples, columns=3 if len(samples) <= 6 else self.legend_columns)
 
     def _more_samples(self) -> list[Any]:
         """Samples of what a family's own scene adds."""

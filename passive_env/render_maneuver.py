@@ -21,7 +21,7 @@ from passive_env.core import Simulation, World
 from passive_env.palette import BLUE, GRID, INK, VERMILION
 from passive_env.render import Frame, Scene, ellipses, kilometres, ring
 
-PLAN_BOX = (0.085, 0.14, 0.60, 0.79)
+PLAN_BOX = (0.085, 0.175, 0.60, 0.745)
 ACCELERATION_BOX = (0.76, 0.63, 0.22, 0.22)
 MODEL_BOX = (0.76, 0.24, 0.22, 0.22)
 """Left, bottom, width, height of the axes as shares of the picture."""
@@ -39,8 +39,12 @@ class ManeuverScene(Scene):
         scenario: supplies the number of stations, the stand-off and the episode's length.
     """
 
+    legend_columns = 3
+
     def __init__(self, figure: Figure, scenario: Any):
         super().__init__(figure, scenario.stations, 1, scenario.steps, scenario.standoff_m, PLAN_BOX)
+        self._merit.xy = (0.0, 1.0)
+        self._merit.set(ha="left", position=(0, 24))  # a line of its own above the clock
         self._fix = self._axes.plot([], [], **FIX)[0]
         self._fix_ellipse = PolyCollection(
             [], facecolors="none", edgecolors=VERMILION, linewidths=0.9, linestyles=":", zorder=3
@@ -92,7 +96,7 @@ class ManeuverScene(Scene):
 
     def _more_samples(self) -> list[Any]:
         fix = Line2D([], [], **FIX, label="fix, its 2σ ellipse (dotted)")
-        found = Patch(facecolor=to_rgb(BLUE), label="model detects a maneuver")
+        found = Patch(facecolor=to_rgb(BLUE), label="maneuver detected by the model")
         return [fix, found]
 
 

@@ -24,6 +24,7 @@ from trackers.fix_contract import ManeuverUpdate
 from trackers.fix_tracker import FixTracker, transition_matrix
 from trackers.gaussian import Gaussian, moment_match
 from trackers.position_update import (
+    copy_gaussian,
     correct,
     factor_innovation,
     gaussian_log,
@@ -94,9 +95,9 @@ def imm_predict(state: ImmState, transition, model, noise) -> ImmState:
 def _update(x, P, mu, z, R, fixed, x_out, P_out, mu_out, log_likelihood, nu, S):
     r, n = x.shape
     d = z.shape[0]
-    x_out[:] = x
-    P_out[:] = P
-    mu_out[:] = mu
+    for j in range(r):
+        mu_out[j] = mu[j]
+        copy_gaussian(x[j], P[j], n, x_out[j], P_out[j])
     log_likelihood[0] = 0.0
     say_innovation(x, P, mu, z, R, fixed, d, nu, S)
     if not fixed:

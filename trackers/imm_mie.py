@@ -42,6 +42,7 @@ from trackers.input_estimation import (
     shift_window,
 )
 from trackers.position_update import (
+    copy_gaussian,
     factor_innovation,
     gaussian_log,
     mixing_shares,
@@ -105,22 +106,14 @@ def _shift_by_output(x, y, y_mixed, n, x_out):
 
 
 @helper
-def _copy(a, P, n, a_out, P_out):
-    for i in range(n):
-        a_out[i] = a[i]
-        for j in range(n):
-            P_out[i, j] = P[i, j]
-
-
-@helper
 def _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, d, x_out, P_out, y_out, Pi_out, c, E_out):
     n, r = 2 * d, mu.shape[0]
     share = np.empty(r)
     for j in range(r):
         c[j] = mixing_shares(transition, mu, j, share)
-        _copy(y[j], Pi[j], n, y_out[j], Pi_out[j])
+        copy_gaussian(y[j], Pi[j], n, y_out[j], Pi_out[j])
         if mode == _NONE or r == 1:
-            _copy(x[j], P[j], n, x_out[j], P_out[j])
+            copy_gaussian(x[j], P[j], n, x_out[j], P_out[j])
         elif mode == _OUTPUT:
             moment_match_into(y, P, share, n, y_out[j], P_out[j])
             moment_match_into(y, Pi, share, n, y_out[j], Pi_out[j])
@@ -129,24 +122,29 @@ def _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, d, x_o
             moment_match_into(x, P, share, n, x_out[j], P_out[j])
         if mode == _SENS and r > 1:
             _mix_sensitivities(E, windows, share, j, d, E_out[j])
-            age_sensitivities(E_out[j], T, windows[j], d, E_out[j])
+            age_sensitivities(E_out[j], T, d, E_out[j])
         else:
-            age_sensitivities(E[j], T, windows[j], d, E_out[j])
-        E_out[j, windows[j] :] = 0.0
+            age_sensitivities(E[j], T, d, E_out[j])
         predict_filter(x_out[j], P_out[j], T, q, d)
         predict_filter(y_out[j], Pi_out[j], T, q, d)
         apply_input(y_out[j], u[j], T, d)
 
 
-@kernel(
-    "(r,n),(r,n,n),(r,n),(r,n,n),(r,d),(r),(r,s,n,d),(r,r),(r),(),(),()->(r,n),(r,n,n),(r,n),(r,n,n),(r),(r,s,n,d)",
-    "FFFFFFFFIffiFFFFFF",
+PREDICT = (
+    "(r,n),(r,n,n),(r,n),(r,n,n),(r,d),(r),(r,s,n,d),(r,r),(r),(),(),()->(r,n),(r,n,n),(r,n),(r,n,n),(r),(r,s,n,d)"
 )
-def _predict(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, x_out, P_out, y_out, Pi_out, c, E_out):
-    if u.shape[1] == 2:  # a constant length lets the compiler unroll
-        _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, 2, x_out, P_out, y_out, Pi_out, c, E_out)
-    else:
-        _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, 3, x_out, P_out, y_out, Pi_out, c, E_out)
+PREDICT_TYPES = "FFFFFFFFIffiFFFFFF"
+
+
+# One kernel for the plane and one for space: with a constant length the compiler unrolls every loop.
+@kernel(PREDICT, PREDICT_TYPES)
+def _predict_plane(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, x_out, P_out, y_out, Pi_out, c, E_out):
+    _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, 2, x_out, P_out, y_out, Pi_out, c, E_out)
+
+
+@kernel(PREDICT, PREDICT_TYPES)
+def _predict_space(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, x_out, P_out, y_out, Pi_out, c, E_out):
+    _predict_bank(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, 3, x_out, P_out, y_out, Pi_out, c, E_out)
 
 
 # -- update -----------------------------------------------------------------------------------------------------------
@@ -156,7 +154,7 @@ def _predict(x, P, y, Pi, u, mu, E, transition, windows, T, q, mode, x_out, P_ou
 def _detect_and_compensate(x, P, y, Pi, u, U, E, w, B, s, threshold, full, single, d, row):
     """Test the window of one filter and act on it; returns whether it found a maneuver."""
     n = 2 * d
-    _copy(x, P, n, y, Pi)
+    copy_gaussian(x, P, n, y, Pi)
     detected = full and regress(w, B, s, d, u, U) > threshold
     if not detected:
         for i in range(d):
@@ -166,7 +164,7 @@ def _detect_and_compensate(x, P, y, Pi, u, U, E, w, B, s, threshold, full, singl
         return False
     respond(y, Pi, E, u, U, s - 1, -1, d, row)
     if single:
-        _copy(y, Pi, n, x, P)
+        copy_gaussian(y, Pi, n, x, P)
         clear_window(E, w, B, s, d)
     else:
         compensate_window(w, B, u, s, d)
@@ -186,11 +184,8 @@ def _update_bank(
         s = windows[j]
         mu_out[j] = mu[j]
         log_l[j] = 0.0
-        _copy(x[j], P[j], n, x_out[j], P_out[j])
-        E_out[j] = E[j]
-        w_out[j, s:] = 0.0
-        B_out[j, column(s) :] = 0.0
-        shift_window(w[j], B[j], s, d, w_out[j], B_out[j])
+        copy_gaussian(x[j], P[j], n, x_out[j], P_out[j])
+        shift_window(E[j], w[j], B[j], s, d, E_out[j], w_out[j], B_out[j])
         if fixed:
             log_det = factor_innovation(Pi[j], R, d, L)
             log_l[j] = gaussian_log(log_det, whiten_position(L, d, y[j], z, row), d)
@@ -210,25 +205,37 @@ def _update_bank(
     log_likelihood[0] = reweigh(mu_out, log_l) if fixed else 0.0
 
 
-@kernel(
+UPDATE = (
     "(r,n),(r,n,n),(r,n),(r,n,n),(r),(r,s,n,d),(r,s,d),(r,b,d,d),(r),(d),(d,d),(),(r),(r),()"
-    "->(r,n),(r,n,n),(r,n),(r,n,n),(r,d),(r,d,d),(r),(r,s,n,d),(r,s,d),(r,b,d,d),(r),(r),(),(d),(d,d)",
-    "FFFFFFFFIFFbIFbFFFFFFFFFFIBfFF",
+    "->(r,n),(r,n,n),(r,n),(r,n,n),(r,d),(r,d,d),(r),(r,s,n,d),(r,s,d),(r,b,d,d),(r),(r),(),(d),(d,d)"
 )
-def _update(
+UPDATE_TYPES = "FFFFFFFFIFFbIFbFFFFFFFFFFIBfFF"
+
+
+@kernel(UPDATE, UPDATE_TYPES)
+def _update_plane(
     x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single,
     x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
 ):  # fmt: skip
-    if z.shape[0] == 2:  # a constant length lets the compiler unroll
-        _update_bank(
-            x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single, 2,
-            x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
-        )  # fmt: skip
-    else:
-        _update_bank(
-            x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single, 3,
-            x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
-        )  # fmt: skip
+    _update_bank(
+        x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single, 2,
+        x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
+    )  # fmt: skip
+
+
+@kernel(UPDATE, UPDATE_TYPES)
+def _update_space(
+    x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single,
+    x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
+):  # fmt: skip
+    _update_bank(
+        x, P, y, Pi, mu, E, w, B, scans, z, R, fixed, windows, thresholds, single, 3,
+        x_out, P_out, y_out, Pi_out, u, U, mu_out, E_out, w_out, B_out, scans_out, detected, log_likelihood, nu, S,
+    )  # fmt: skip
+
+
+PREDICTIONS = {2: _predict_plane, 3: _predict_space}
+UPDATES = {2: _update_plane, 3: _update_space}
 
 
 # -- trackers ---------------------------------------------------------------------------------------------------------
@@ -298,7 +305,8 @@ class ImmMie(FixTracker):
     def predict(self, state: MieState, step_s: float) -> MieState:
         """Mix the filters and propagate each by one step."""
         transition, windows, _ = self._bank
-        x, P, y, Pi, mu, E = _predict(
+        predict_filters = PREDICTIONS[state.input.shape[-1]]
+        x, P, y, Pi, mu, E = predict_filters(
             state.recursion, state.recursion_cov, state.output, state.output_cov, state.input, state.probability,
             state.sensitivity, transition, windows, step_s, self.acceleration_std, MIXINGS.index(self.mixing),
         )  # fmt: skip
@@ -307,7 +315,8 @@ class ImmMie(FixTracker):
     def update_fix(self, state: MieState, position, cov, fixed=True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
         _, windows, thresholds = self._bank
-        *filters, detected, log_likelihood, nu, S = _update(
+        update_filters = UPDATES[state.input.shape[-1]]
+        *filters, detected, log_likelihood, nu, S = update_filters(
             state.recursion, state.recursion_cov, state.output, state.output_cov, state.probability,
             state.sensitivity, state.innovation, state.regressor, state.scans, position, cov, fixed,
             windows, thresholds, self.single_correction,

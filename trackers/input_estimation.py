@@ -82,9 +82,9 @@ def apply_input(x, u, T, d):
 
 
 @helper
-def age_sensitivities(E, T, s, d, E_out):
-    """E⁻_0 = C and E⁻_{q+1} = F E_q + C; slots beyond the window are 0. E_out may be E itself."""
-    for q in range(s - 1, -1, -1):
+def age_sensitivities(E, T, d, E_out):
+    """E⁻_0 = C and E⁻_{q+1} = F E_q + C; E_out may be E itself. Slots beyond the window hold nothing of use."""
+    for q in range(E.shape[0] - 1, -1, -1):
         for j in range(d):
             for i in range(d):
                 slope = E[q - 1, d + i, j] if q > 0 else 0.0
@@ -97,16 +97,22 @@ def age_sensitivities(E, T, s, d, E_out):
 
 
 @helper
-def shift_window(w, B, s, d, w_out, B_out):
-    """Everything one step older: the oldest innovation and the oldest input leave, age 0 is left to be filled."""
-    for p in range(s - 1):
+def shift_window(E, w, B, s, d, E_out, w_out, B_out):
+    """Everything one step older: the oldest innovation and the oldest input leave, age 0 is left to be filled.
+
+    E is aged already (`age_sensitivities`). Slots beyond the window are 0.
+    """
+    for q in range(E.shape[0]):
+        inside = q < s
+        for i in range(2 * d):
+            for j in range(d):
+                E_out[q, i, j] = E[q, i, j] if inside else 0.0
         for i in range(d):
-            w_out[p + 1, i] = w[p, i]
-    for q in range(1, s):
-        for p in range(q):
+            w_out[q, i] = w[q - 1, i] if inside and q > 0 else 0.0
+        for p in range(q + 1):
             for i in range(d):
                 for j in range(d):
-                    B_out[column(q) + p + 1, i, j] = B[column(q - 1) + p, i, j]
+                    B_out[column(q) + p, i, j] = B[column(q - 1) + p - 1, i, j] if inside and p > 0 else 0.0
 
 
 @helper

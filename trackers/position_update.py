@@ -74,6 +74,15 @@ def correct(x, P, G, w, d, n):
 
 
 @helper
+def copy_gaussian(x, P, n, x_out, P_out):
+    """Copy x [n] and P [n, n]; explicit loops compile faster than slices of arrays and copy faster."""
+    for i in range(n):
+        x_out[i] = x[i]
+        for j in range(n):
+            P_out[i, j] = P[i, j]
+
+
+@helper
 def gaussian_log(log_det, squared, d):
     """log N(ν; 0, LLᵀ) for log det L and wᵀw."""
     return -0.5 * (d * LOG_TWO_PI + squared) - log_det

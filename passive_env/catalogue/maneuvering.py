@@ -277,7 +277,7 @@ class ManeuveringTarget(TrackingScenario):
         limits = np.array(
             [
                 self.range_min_m, self.range_max_m, math.radians(self.baseline_tilt_deg), self.target_speed_min_m_s,
-                self.target_speed_max_m_s, self.baseline_m,
+                self.target_speed_max_m_s, self.baseline_m, max(self.min_speed_m_s, STANDING_M_S),
             ]
         )  # fmt: skip
         platforms, start = _random_starts(u, limits, np.empty((self.stations, 4)))
@@ -347,7 +347,7 @@ def paper_acceleration_path(start, noise, step_s: float) -> tuple[np.ndarray, np
 
 @kernel("(c),(l),(s,x)->(s,x),(x)")
 def _random_starts(u, limits, like, platforms, start):
-    """Stations about the origin, standing, and the target's start."""
+    """Stations about the origin at their least speed, and the target's start."""
     two_pi = 2.0 * math.pi
     sight = two_pi * u[0]
     distance = limits[0] + (limits[1] - limits[0]) * u[1]
@@ -360,7 +360,7 @@ def _random_starts(u, limits, like, platforms, start):
         offset = limits[5] * (s / (n - 1.0) - 0.5)
         heading = two_pi * u[6 + s]
         platforms[s, 0], platforms[s, 1] = offset * math.cos(along), offset * math.sin(along)
-        platforms[s, 2], platforms[s, 3] = STANDING_M_S * math.cos(heading), STANDING_M_S * math.sin(heading)
+        platforms[s, 2], platforms[s, 3] = limits[6] * math.cos(heading), limits[6] * math.sin(heading)
 
 
 CATALOGUE: dict[str, ManeuveringTarget] = {"ManeuveringTarget": ManeuveringTarget()}
