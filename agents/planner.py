@@ -274,8 +274,11 @@ PLANNERS_IN_SPACE = {
 }
 """Makers (scenario, seed)."""
 
+FIX_HORIZON = 40
+"""Steps that stations whose bearings become fixes plan ahead: what a target does later is anyone's guess."""
+
 FIX_SEARCHES = {
-    "planner": lambda scenario, seed: FixPlanner(scenario, seed=seed),
+    "planner": lambda scenario, seed: FixPlanner(scenario, horizon=FIX_HORIZON, seed=seed),
     "oracle": lambda scenario, seed: FixOracle(scenario, seed=seed),
 }
 """Makers (scenario, seed) for stations whose bearings become fixes."""
