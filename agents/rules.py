@@ -358,12 +358,15 @@ IN_SPACE = {
 is best in the final error where platforms turn fast."""
 
 OPENINGS = {
-    "open": (85.0, 85.0, 90.0, 180.0),
+    "open": (75.0, 75.0, 90.0, 180.0),
     "rule_bend": (85.0, 20.0, 70.0, 90.0),
-    "rule": (85.0, 20.0, 70.0, 90.0, 180.0),
+    "rule_cross": (85.0, 20.0, 70.0, 90.0, 180.0),
 }
-"""Angles of `OpenBaseline`, in its order: at full speed, whatever the course; turning on the spot, and bent forward as
-the lines of sight cross; and crossing where that saves turns. Tuned on"""
+"""Angles of `OpenBaseline`, in its order: outwards at full speed; turning on the spot and bending forward; the same and
+crossing. Best of grids in the mean position error while targets turn, the time-averaged one deciding where that differs
+by less than its luck, on seeds 500,000 and up, which no evaluation uses, 1,536 episodes per cell: one angle from 70° to
+90°; first angle 75–90°, last 0–30°, at 70° or 80°; crossing from 150°, 180° or 210°. Within a grid no cell is better
+by more than 0.6 % in either error."""
 
 
 def _opening(name: str) -> Any:
@@ -375,5 +378,11 @@ def _opening(name: str) -> Any:
     return make
 
 
-OPEN_BASELINE = {name: _opening(name) for name in OPENINGS}
+def _best_opening(scenario: Any, seed: int) -> OpenBaseline:
+    """Crossing pays for aircraft and targets that turn at any time; recorded ones turn less, and often at once."""
+    crosses = scenario.carrier == "aircraft" and scenario.course != "flights"
+    return _opening("rule_cross" if crosses else "rule_bend")(scenario, seed)
+
+
+OPEN_BASELINE = {"open": _opening("open"), "rule_bend": _opening("rule_bend"), "rule": _best_opening}
 """Makers (scenario, seed) for stations whose bearings become position fixes; `rule` is the strongest found."""

@@ -231,11 +231,11 @@ def test_greedy_is_no_worse_than_any_single_change_and_than_all_patterns_of_side
 
 @pytest.mark.parametrize("carrier", ["aircraft", "ground"])
 def test_planner_is_never_worse_than_greedy_or_its_previous_plan(carrier):
-    scenario, belief = ManeuveringTarget(carrier=carrier), random_belief(6, seed=12)
-    planner = FixPlanner(scenario, samples=8, elites=3, iterations=2)
-    start = planner.prediction.situation(belief, 40)
+    scenario, belief = ManeuveringTarget(carrier=carrier), random_belief(40, steps_left=60, seed=12)
+    planner = FixPlanner(scenario, segments=3, spread_deg=30.0)
+    start = planner.prediction.situation(belief, 60)
     held = planner.prediction.cost(start, *(part[:, None] for part in planner._greedy.plan(start, belief.mean)))[:, 0]
-    controls, ends = random_plans(6, 1, planner._segments, 2, seed=13)
+    controls, ends = random_plans(40, 1, planner._segments, 2, seed=13)
     before = planner.prediction.cost(start, controls, ends)[:, 0]
     planner.reset(belief)
     best, cost = planner.plan(start, planner.known_plans(start, belief.mean, Plan(controls[:, 0], ends[:, 0])))
@@ -329,10 +329,11 @@ def test_greedy_is_as_good_as_the_best_rule(flown):
 
 @pytest.mark.parametrize("name", ["greedy", "planner"])
 def test_stand_off_rings_are_mostly_kept(name):
-    fields = ManeuveringTarget(standoff_m=13e3, course="random")
-    record, free = (fly(scenario, make_policy(name, scenario), 32, 7) for scenario in (fields, ManeuveringTarget()))
-    assert record.standoff.mean() < 0.2
-    assert (free.standoff == 0.0).all()
+    """The rule does not know of them."""
+    scenario = ManeuveringTarget(standoff_m=13e3)
+    found, rule = (fly(scenario, make_policy(known, scenario), 32, 7).standoff.mean() for known in (name, "rule"))
+    assert rule > 0.2
+    assert found < 0.5 * rule
 
 
 def test_the_oracle_plans_on_the_true_path_and_bound():
@@ -366,5 +367,5 @@ def test_bad_settings_are_errors_that_name_them(kind, settings, message):
 
 
 def test_turn_rates_to_hold_are_refused():
-    with pytest.raises(ValueError, match="controls 'turns': .* by 'headings'"):
+    with pytest.raises(ValueError, match=r"controls 'turns': .* by 'headings'"):
         FixGreedy(ManeuveringTarget(), controls="turns")
