@@ -332,7 +332,7 @@ def test_stand_off_rings_are_mostly_kept(name):
     """The rule does not know of them."""
     scenario = ManeuveringTarget(standoff_m=13e3)
     found, rule = (fly(scenario, make_policy(known, scenario), 32, 7).standoff.mean() for known in (name, "rule"))
-    assert rule > 0.2
+    assert rule > 0.1
     assert found < 0.5 * rule
 
 
