@@ -15,6 +15,7 @@ from tqdm import tqdm
 from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
     measure_decisions,
+    measure_maneuvers,
     measure_memory,
     measure_one_platform,
     measure_resets,
@@ -36,6 +37,7 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "vector environment": measure_vector,
     "one platform": measure_one_platform,
     "two aircraft": measure_two_aircraft,
+    "maneuvering target": measure_maneuvers,
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,

@@ -55,7 +55,9 @@ def acceleration_picture(records: Mapping[str, Record], scenario: int, number: i
     figure, (above, below) = _figure(2)
     truth = paper_path(scenario).acceleration
     axis, word = (0, "eastward") if scenario == 1 else (1, "northward")
-    above.plot(_seconds(len(truth)), truth[FIRST:, axis], color=INK, linewidth=1.0, label="truth")
+    above.plot(
+        _seconds(len(truth)), truth[FIRST:, axis], color=INK, linewidth=1.0, drawstyle="steps-post", label="truth"
+    )
     for name, label in LABELS.items():
         record = records[name]
         above.plot(_seconds(len(truth)), record.acceleration.mean(0)[FIRST:, axis], color=COLORS[name], label=label)
