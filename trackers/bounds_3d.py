@@ -75,7 +75,15 @@ def _bound_start(prior, truth, platforms, std, share, P_out):
 
 
 def _shares(available, angle_std):
-    """Shares of one number for all components, or as given."""
+    """Shares of one number for all components, or as given.
+
+    Raises:
+        ValueError: a share outside [0, 1].
+    """
+    share = np.asarray(available)
+    sound = (share >= 0) & (share <= 1)
+    if not sound.all():
+        raise ValueError(f"available holds {share[~sound].flat[0]}: shares of scans must lie in [0, 1]")
     return np.broadcast_to(available, np.shape(angle_std)) if np.ndim(available) == 0 else available
 
 
