@@ -11,6 +11,8 @@ Source: Tichavský, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5), 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from trackers.compiled import helper, kernel
@@ -40,7 +42,7 @@ def _advance(P, truth, platforms, std, share, T, acceleration_std, P_out):
     _look(P_out, truth, platforms, std, share)
 
 
-def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, available=1.0):
+def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, available: Any = 1.0):
     """One step of the bound: motion, then a scan.
 
     Args:
@@ -56,7 +58,7 @@ def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, availabl
     return _advance(cov, truth, platforms, angle_std, _shares(available, angle_std), step_s, acceleration_std)
 
 
-def bound_start(truth, platforms, angle_std, velocity_std, available=1.0, position_std_m=PRIOR_POSITION_STD_M):
+def bound_start(truth, platforms, angle_std, velocity_std, available: Any = 1.0, position_std_m=PRIOR_POSITION_STD_M):
     """The bound [..., 6, 6] after the first scan: a velocity prior, next to no position prior, and the scan.
 
     Args:
@@ -99,7 +101,9 @@ def position_std_3d(cov):
     return np.sqrt(np.maximum(np.trace(np.asarray(cov)[..., :3, :3], axis1=-2, axis2=-1), 0.0))
 
 
-def posterior_bound_information_3d(truth, platforms, prior_cov, angle_std, step_s, acceleration_std, available=1.0):
+def posterior_bound_information_3d(
+    truth, platforms, prior_cov, angle_std, step_s, acceleration_std, available: Any = 1.0
+):
     """The posterior bound along whole paths, in information form (matrix inverses).
 
     Args:
