@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.steering import course, level_flight, towards
+from agents.steering import level_flight
 from passive_env.belief import Belief
 from passive_env.core import World
 from passive_env.kinematics import fly_legs
+from passive_env.steering import course, towards
 from trackers.compiled import Blocks, helper, kernel
 from trackers.linalg import cholesky_4
 from trackers.measurement import NOISE_FLOOR, slope
@@ -261,6 +262,8 @@ class Prediction:
     usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_log_std", 8e3, 12, 24
     about_course = False
     """Whether headings are tried about the present course, as far as can be reached, or all about the line of sight."""
+    stops_to_measure = False
+    """Whether platforms measure only when they are slow."""
 
     def __init__(
         self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, controls: str = "headings"

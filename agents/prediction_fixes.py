@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from agents.prediction import LARGEST, WORST, Prediction, Situation, intrusion, predict_numbers
-from agents.steering import course, towards
 from passive_env.belief import Belief
 from passive_env.kinematics import turned_by
+from passive_env.steering import course, towards
 from trackers.angles import wrap, wrap_scalar
 from trackers.compiled import helper, kernel
 from trackers.measurement import slope
