@@ -277,7 +277,9 @@ def stations_at(places, headings_deg, target, steps_left=70, speed=1e-6):
 
 def open_baseline(belief, *angles, turn_rate=5.0, **settings):
     """Commands of `OpenBaseline`: turns [s], speeds [s]."""
-    policy = OpenBaseline(SimpleNamespace(step_s=1.0, steps=70, max_turn_rate_deg_s=turn_rate, top_speed_m_s=250.0), *angles, **settings)
+    policy = OpenBaseline(
+        SimpleNamespace(step_s=1.0, steps=70, max_turn_rate_deg_s=turn_rate, top_speed_m_s=250.0), *angles, **settings
+    )
     policy.reset(belief)
     return np.split(policy.act(belief, np.empty((1, 0)))[0], 2)
 
