@@ -74,10 +74,10 @@ class Evaluate:
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
-    paper: Annotated[Literal["two-station", "angle-fusion"], tyro.conf.Positional] = "two-station"
+    paper: Annotated[Literal["two-station", "angle-fusion", "imm-mie"], tyro.conf.Positional] = "two-station"
     """Which paper."""
     runs: int | None = None
-    """Monte-Carlo runs per seed; default 50 (two-station) or 500 (angle-fusion)."""
+    """Monte-Carlo runs per seed; default 50 (two-station, imm-mie) or 500 (angle-fusion)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
@@ -142,6 +142,7 @@ def _reproduce(c: Reproduce) -> None:
     papers = {
         "two-station": (reproduction.reproduce_two_station, reproduction.print_report),
         "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
+        "imm-mie": (reproduction.reproduce_imm_mie, reproduction.print_imm_mie),
     }
     reproduce, words = papers[c.paper]
     number = {} if c.runs is None else {"runs": c.runs}
@@ -158,13 +159,14 @@ def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
-    from trackers import ANGLE_TRACKERS, TRACKERS
+    from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
         *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
+        ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):
         print(f"{title}: {', '.join(names)}")

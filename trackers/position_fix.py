@@ -201,8 +201,9 @@ def _fix_range_sums(sums, used, transmitter, receivers, noise, start, position, 
                 step[a] += J[i, a] * J[i, d]
                 for b in range(d):
                     A[a, b] += J[i, a] * J[i, b]
-        scale = A.trace()
-        length = 0.0
+        scale = length = 0.0
+        for a in range(d):
+            scale += A[a, a]
         cholesky_in_place(A)
         for a in range(d):
             if not A[a, a] * A[a, a] > 1e-14 * scale:

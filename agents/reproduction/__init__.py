@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from agents.reproduction.angle_fusion import print_angle_fusion, reproduce_angle_fusion
+from agents.reproduction.imm_mie import print_imm_mie, reproduce_imm_mie
 from agents.reproduction.two_station import print_report, reproduce_two_station
 
-__all__ = ["print_angle_fusion", "print_report", "reproduce_angle_fusion", "reproduce_two_station"]
+__all__ = [
+    "print_angle_fusion",
+    "print_imm_mie",
+    "print_report",
+    "reproduce_angle_fusion",
+    "reproduce_imm_mie",
+    "reproduce_two_station",
+]
