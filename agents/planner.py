@@ -282,8 +282,8 @@ FIX_SETTINGS: dict[str, Any] = {
     "replan_steps": 1,
     "spread_deg": 30.0,
 }
-"""Settings for stations whose bearings become fixes: what a maneuvering target does later is anyone's guess, and what is
-to be found lies near the greedy plan."""
+"""Settings for stations whose bearings become fixes: what a maneuvering target does later is anyone's guess, and what
+is to be found lies near the greedy plan."""
 
 FIX_SEARCHES = {
     "planner": lambda scenario, seed: FixPlanner(scenario, seed=seed, **FIX_SETTINGS),
