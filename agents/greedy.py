@@ -9,9 +9,10 @@ import numpy as np
 
 from agents.prediction import Prediction, Situation
 from agents.prediction_3d import Prediction3D
-from agents.steering import course, level_flight, line_of_sight, towards
+from agents.steering import level_flight
 from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.steering import course, line_of_sight, towards
 
 TURN_LEVELS = 9
 """Turn rates tried by `controls="turns"`, from −limit to +limit."""

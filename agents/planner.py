@@ -14,9 +14,10 @@ import numpy as np
 
 from agents.greedy import Greedy, predict
 from agents.prediction import Situation
-from agents.steering import course, level_flight, towards
+from agents.steering import level_flight
 from passive_env.belief import Belief
 from passive_env.core import World
+from passive_env.steering import course, towards
 from trackers.angles import wrap
 
 NARROWEST_RAD = math.radians(3.0)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.steering import course, level_flight, line_of_sight, towards
+from agents.steering import level_flight
 from passive_env.belief import Belief
+from passive_env.steering import course, line_of_sight, outward, towards
 from trackers.angles import wrap
 
 
@@ -44,7 +45,7 @@ class TurnApart:
 
     def _aim(self, belief: Belief) -> np.ndarray:
         """Courses [e, 2] rad."""
-        off = np.where(sides(belief) > 0.0, self._left, -self._right)
+        off = np.where(outward(belief.platforms, belief.mean) > 0.0, self._left, -self._right)
         return middle_sight(belief)[:, None] + off
 
 
@@ -69,7 +70,7 @@ class Split:
         """Choose both courses from the first belief."""
         before = course(belief.platforms)
         ahead = np.where(np.cos(before - middle_sight(belief)[:, None]) >= 0.0, 1.0, -1.0)
-        self._course = before + sides(belief) * ahead * self._angle
+        self._course = before + outward(belief.platforms, belief.mean) * ahead * self._angle
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the course at the limit, then hold it."""
@@ -106,12 +107,12 @@ class HoldOffSight:
 
     def reset(self, belief: Belief) -> None:
         """Choose the sides."""
-        self._sides = sides(belief)
+        self._sides = outward(belief.platforms, belief.mean)
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the angle of the moment off the line of sight of the moment."""
         if self._exchange:
-            self._sides = sides(belief)
+            self._sides = outward(belief.platforms, belief.mean)
         early = self._steps - belief.steps_left < self._scans
         angle = np.where(early, *self._angles)[:, None]
         headings = line_of_sight(belief.platforms, belief.mean) + self._sides * angle
@@ -122,14 +123,6 @@ def middle_sight(belief: Belief) -> np.ndarray:
     """Direction [e] rad from two platforms' midpoint to the middle of the tracks."""
     to_tracks = belief.mean[..., :2].mean(axis=1) - belief.platforms[..., :2].mean(axis=1)
     return np.arctan2(to_tracks[:, 1], to_tracks[:, 0])
-
-
-def sides(belief: Belief) -> np.ndarray:
-    """+1 for that one of two platforms which is left of the other along the line of sight, −1 for the other: [e, 2]."""
-    sight = middle_sight(belief)
-    apart = belief.platforms[:, 0, :2] - belief.platforms[:, 1, :2]
-    first_is_left = np.cos(sight) * apart[:, 1] - np.sin(sight) * apart[:, 0] > 0.0
-    return np.where(first_is_left[:, None], (1.0, -1.0), (-1.0, 1.0))
 
 
 class Zigzag:
