@@ -6,8 +6,12 @@ from trackers.angle_ekf import AngleEkf
 from trackers.angle_filter import AngleFilter
 from trackers.angle_pdaf import AngleNearestNeighbour, AnglePdaf, AnglePdafSequential
 from trackers.contract import Scan, Tracker, Update
+from trackers.fix_contract import BearingScan, ManeuverTracker, ManeuverUpdate
+from trackers.fix_tracker import FixTracker
 from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
+from trackers.imm import Imm3
+from trackers.imm_mie import ImmMie, InputEstimation, Mie
 from trackers.rp_ekf import Bank, RpEkf
 
 DISTRIBUTION = "passive-env"
@@ -24,8 +28,17 @@ ANGLE_TRACKERS: dict[str, type[AngleFilter]] = {
 }
 """Trackers on azimuth and elevation an environment takes by name."""
 
+MANEUVER_TRACKERS: dict[str, type[FixTracker]] = {
+    "imm_mie": ImmMie,
+    "imm3": Imm3,
+    "mie": Mie,
+    "ie": InputEstimation,
+}
+"""Trackers of a maneuvering target on bearings that cross, by name."""
+
 __all__ = [
     "ANGLE_TRACKERS",
+    "MANEUVER_TRACKERS",
     "TRACKERS",
     "AdaptiveRpEkf",
     "AngleEkf",
@@ -37,8 +50,16 @@ __all__ = [
     "AngleTracker",
     "AngleUpdate",
     "Bank",
+    "BearingScan",
+    "FixTracker",
     "FusedEkf",
     "Gaussian",
+    "Imm3",
+    "ImmMie",
+    "InputEstimation",
+    "ManeuverTracker",
+    "ManeuverUpdate",
+    "Mie",
     "ModelBank",
     "RpEkf",
     "Scan",

@@ -27,12 +27,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.association import PRUNED
-from trackers.compiled import helper, kernel
+from trackers.compiled import kernel
 from trackers.contract import Scan, Update
 from trackers.gaussian import Gaussian
 from trackers.hypotheses import clear_hypothesis
 from trackers.jpda import average_and_update
 from trackers.motion import turn_in_place
+from trackers.position_update import moment_match_into
 from trackers.rp_ekf import Bank, RpEkf, estimate
 
 
@@ -64,25 +65,6 @@ class ModelBank(NamedTuple):
         )
 
 
-@helper
-def _mix(x, P, share, x_out, P_out):
-    """Moment-match r Gaussians with shares [r] that sum to 1; removed ones have share 0."""
-    d = x.shape[1]
-    x_out[:] = 0.0
-    P_out[:] = 0.0
-    for k in range(x.shape[0]):
-        for i in range(d):
-            x_out[i] += share[k] * x[k, i]
-    for k in range(x.shape[0]):
-        if share[k] > 0.0:
-            for i in range(d):
-                for j in range(i, d):
-                    P_out[i, j] += share[k] * (P[k, i, j] + (x[k, i] - x_out[i]) * (x[k, j] - x_out[j]))
-    for i in range(d):
-        for j in range(i):
-            P_out[i, j] = P_out[j, i]
-
-
 @kernel("(n,r,x),(n,r,x,x),(n,r),(r,r),(r),(r),()->(n,r,x),(n,r,x,x),(n,r)")
 def _mix_and_predict(x, P, lw, transition, q, rate, T, x_out, P_out, lw_out):
     n, r = lw.shape
@@ -103,7 +85,7 @@ def _mix_and_predict(x, P, lw, transition, q, rate, T, x_out, P_out, lw_out):
             for k in range(r):
                 share[k] /= total
             lw_out[i, j] = top + math.log(total)
-            _mix(x[i], P[i], share, x_out[i, j], P_out[i, j])
+            moment_match_into(x[i], P[i], share, 4, x_out[i, j], P_out[i, j])
             turn_in_place(x_out[i, j], P_out[i, j], T, rate[j], q[j])
 
 
