@@ -322,6 +322,19 @@ def test_window_starts_equal_a_loop(library):
     np.testing.assert_array_equal(paths.window_starts(steps), expected)
 
 
+@pytest.mark.parametrize("turning_s", [0.0, 4.0, 11.0])
+def test_turning_starts_equal_a_loop(turning_s):
+    paths = load_flights().split("test").resample(2.0)
+    turning, expected = paths.turning_starts(20, 2.0, turning_s), []
+    for start in paths.window_starts(20)[::7]:
+        velocity = paths.states[start : start + 21, 3:5]
+        hard = sum(math.dist(a, b) / 2.0 > 2.0 for a, b in zip(velocity, velocity[1:], strict=False))
+        if 2.0 * hard >= turning_s:
+            expected.append(start)
+    assert expected
+    assert np.array_equal(turning[np.isin(turning, paths.window_starts(20)[::7])], expected)
+
+
 def test_windows_equal_a_loop(library):
     paths, steps = library.resample(2.0), 45
     uniforms = np.random.default_rng(1).random((5, 3))

@@ -808,6 +808,13 @@ def test_bad_values_are_errors_that_name_field_value_and_what_is_right(fields, m
         make_scenario(NAME, fields)
 
 
+def test_a_baseline_longer_than_the_range_is_allowed_where_nobody_must_stand_off():
+    _, worlds = flown(20, 3, GO, baseline_m=40e3)
+    assert np.isfinite([world.metrics.position_error_m for world in worlds]).all()
+    with pytest.raises(ValueError, match="stations may start 0 m from the target"):
+        make_scenario(NAME, {"baseline_m": 40e3, "standoff_m": 1.0})
+
+
 def test_recorded_flights_that_never_turn_so_long_are_an_error():
     with pytest.raises(ValueError, match=r"flight_turn_s = 300.0: no window of 300 steps .* 'train', turns"):
         PassiveEnv(NAME, course="flights", steps=300, flight_turn_s=300.0)

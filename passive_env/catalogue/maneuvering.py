@@ -65,8 +65,8 @@ class ManeuveringTarget(TrackingScenario):
     station has its speed from the step's beginning on and may turn on the spot. With carrier "ground" a station
     measures only after a step driven at ``measuring_speed_m_s`` at most; a scan of fewer than two azimuths has no fix.
     Observation: `passive_env.maneuver_observation.ManeuverObservation`.
-    info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``maneuvering``,
-        ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and ``detected``, each
+    info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``fix_error_m``,
+        ``maneuvering``, ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and ``detected``, each
         [1, models].
     Bound: for a target of constant velocity that a white acceleration of ``bound_acceleration_m_s2`` per axis and step
         disturbs, known to 200 m/s per axis at first.
@@ -156,7 +156,7 @@ class ManeuveringTarget(TrackingScenario):
         """Lower limit of the distance of a station from the target at first."""
         if self.course in PAPER_VELOCITY_M_S:
             return math.hypot(max(PAPER_MIDDLE_M[0] - 0.5 * self.baseline_m, 0.0), PAPER_MIDDLE_M[1])
-        return self.range_min_m - 0.5 * self.baseline_m
+        return max(self.range_min_m - 0.5 * self.baseline_m, 0.0)
 
     @property
     def top_speed_m_s(self) -> float:
