@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
-from agents.steering import course, line_of_sight
 from passive_env.core import World
+from passive_env.steering import course, line_of_sight
 from passive_env.vector_env import PassiveVectorEnv
 from trackers.angles import wrap
 
@@ -83,6 +83,9 @@ class Record:
         position_error_m, position_crlb_m: as those of the range, in scenarios that are scored by the position.
         lost_late: [e] share of tracks whose position error, averaged over the last `LATE_STEPS` steps, exceeds
             `LATE_ERROR_M`; in the same scenarios.
+        turn_error_m: [e] position error averaged over the steps after decisions at which a target maneuvers, NaN in
+            episodes without any; in scenarios whose figures tell who maneuvers.
+        acceleration_error_m_s2: [e, k + 1] mean over targets; in the same scenarios.
     """
 
     range_error_m: np.ndarray
@@ -100,6 +103,8 @@ class Record:
     position_error_m: Any = None
     position_crlb_m: Any = None
     lost_late: Any = None
+    turn_error_m: Any = None
+    acceleration_error_m_s2: Any = None
 
     @property
     def score(self) -> str:
@@ -111,6 +116,19 @@ class Record:
         """Per kind of error, the one that counts first: errors and bounds [e, k + 1]."""
         ranges = {"range": (self.range_error_m, self.range_crlb_m)}
         return ranges if self.score == "range" else {"position": (self.position_error_m, self.position_crlb_m)} | ranges
+
+    @property
+    def samples(self) -> dict[str, np.ndarray]:
+        """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
+        named = {}
+        for kind, (error, _) in self.errors.items():
+            named[f"final_{kind}_error_m"] = error[:, -1]
+            named[f"mean_{kind}_error_m"] = error[:, 1:].mean(axis=1)
+        if self.turn_error_m is not None and np.isfinite(self.turn_error_m).any():
+            named["turn_position_error_m"] = self.turn_error_m[np.isfinite(self.turn_error_m)]
+        if self.acceleration_error_m_s2 is not None:
+            named["mean_acceleration_error_m_s2"] = self.acceleration_error_m_s2[:, 1:].mean(axis=1)
+        return named
 
     @property
     def error_m(self) -> np.ndarray:
@@ -161,7 +179,7 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
-    log = [_instant(env.world, info, scenario.score)]
+    log, turns = [_instant(env.world, info, scenario.score)], [_turn(info)]
     belief, seconds = env.belief(), 0.0
     _show(policy, env.world)
     policy.reset(belief)
@@ -170,30 +188,35 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         start = time.perf_counter()
         commands = policy.act(belief, observation)
         seconds += time.perf_counter() - start
-        observation, _, _, _, info = env.step(encode(commands))
+        observation, _, _, _, info = env.step(encode(commands, belief))
         belief = env.belief()
         _show(policy, env.world)
         log.append(_instant(env.world, info, scenario.score))
+        turns.append(_turn(info))
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
     state_size = env.world.truth.shape[-1]
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
     position = {} if scenario.score == "range" else _position(instants.scored_error_m, instants.scored_crlb_m)
-    return position | {
-        "range_error_m": instants.range_error_m.mean(-1),
-        "range_crlb_m": instants.range_crlb_m.mean(-1),
-        "lost": info["lost"].mean(-1),
-        "collapsed": collapsed.mean(-1),
-        "nees": info["nees"],
-        "off_sight_rad": instants.off_sight_rad,
-        "turns": instants.turns[:, 1:],
-        "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
-        "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
-        "seconds": seconds,
-        "state_size": state_size,
-        "paths": _first_paths(instants, env.world, scenario),
-    }
+    return (
+        position
+        | _turns(turns)
+        | {
+            "range_error_m": instants.range_error_m.mean(-1),
+            "range_crlb_m": instants.range_crlb_m.mean(-1),
+            "lost": info["lost"].mean(-1),
+            "collapsed": collapsed.mean(-1),
+            "nees": info["nees"],
+            "off_sight_rad": instants.off_sight_rad,
+            "turns": instants.turns[:, 1:],
+            "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
+            "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
+            "seconds": seconds,
+            "state_size": state_size,
+            "paths": _first_paths(instants, env.world, scenario),
+        }
+    )
 
 
 def _position(errors: np.ndarray, bounds: np.ndarray) -> dict[str, np.ndarray]:
@@ -202,6 +225,23 @@ def _position(errors: np.ndarray, bounds: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "position_error_m": errors.mean(-1), "position_crlb_m": bounds.mean(-1), "lost_late": late.mean(-1),
     }  # fmt: skip
+
+
+def _turn(info: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Who maneuvers, position and acceleration errors, each [e, m]; nothing where figures do not tell."""
+    names = ("maneuvering", "position_error_m", "acceleration_error_m_s2")
+    return tuple(info[name] for name in names) if names[0] in info else ()
+
+
+def _turns(log: list[tuple[Any, ...]]) -> dict[str, np.ndarray]:
+    """A record's figures of maneuvers."""
+    if not log[0]:
+        return {}
+    maneuvering, error, acceleration = (np.stack(column, axis=1) for column in zip(*log, strict=True))
+    during = maneuvering[:, 1:]
+    count, total = during.sum((1, 2)), np.where(during, error[:, 1:], 0.0).sum((1, 2))
+    average = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
+    return {"turn_error_m": average, "acceleration_error_m_s2": acceleration.mean(-1)}
 
 
 class _Instant(NamedTuple):
@@ -279,10 +319,7 @@ def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dic
 
 def _figures(record: Record) -> dict[str, Any]:
     low, high = nees_scale(record.state_size).band
-    errors = {}
-    for kind, (error, _) in record.errors.items():
-        errors[f"final_{kind}_error_m"] = _statistics(error[:, -1])
-        errors[f"mean_{kind}_error_m"] = _statistics(error[:, 1:].mean(axis=1))
+    errors = {name: _statistics(values) for name, values in record.samples.items()}
     bounds = {f"final_{kind}_crlb_m": float(bound[:, -1].mean()) for kind, (_, bound) in record.errors.items()}
     late = {} if record.lost_late is None else _share(record.lost_late)
     return (
@@ -317,11 +354,8 @@ def _statistics(values: np.ndarray) -> dict[str, float]:
 
 
 def _ratios(record: Record, base: Record) -> dict[str, Any]:
-    ratios = {}
-    for kind, (error, _) in record.errors.items():
-        other = base.errors[kind][0]
-        ratios[f"final_{kind}_error_m"] = ratio_of_means(error[:, -1], other[:, -1])
-        ratios[f"mean_{kind}_error_m"] = ratio_of_means(error[:, 1:].mean(axis=1), other[:, 1:].mean(axis=1))
+    pairs = zip(record.samples.items(), base.samples.values(), strict=True)
+    ratios = {name: ratio_of_means(values, other) for (name, values), other in pairs}
     if record.lost_late is not None:
         ratios["lost_late_share"] = difference_of_means(record.lost_late, base.lost_late)
     return ratios

@@ -15,6 +15,8 @@ from agents.maneuvers import Maneuvers, maneuvers
 
 METRICS = {"final": "final", "mean": "time average"}
 """The errors that are compared, and their names in tables."""
+MANEUVERS = {"turn_position_error_m": "while maneuvering", "mean_acceleration_error_m_s2": "acceleration"}
+"""What is compared besides where targets are known to maneuver, and its names."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
 
@@ -62,9 +64,11 @@ def as_csv(summary: Mapping[str, Any]) -> str:
     return buffer.getvalue()
 
 
-def _metrics(summary: Mapping[str, Any]) -> list[str]:
-    """Names of the errors that count."""
-    return [f"{when}_{summary['score']}_error_m" for when in METRICS]
+def _metrics(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Errors that count, and their names in tables."""
+    shown = next(iter(summary["policies"].values()))
+    counted = {f"{when}_{summary['score']}_error_m": words for when, words in METRICS.items()}
+    return counted | {name: words for name, words in MANEUVERS.items() if name in shown}
 
 
 def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,13 +88,15 @@ def as_markdown(summary: Mapping[str, Any]) -> str:
 def _figures_table(summary: Mapping[str, Any]) -> list[str]:
     policies, in_space = summary["policies"], summary["score"] == "position"
     zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
-    head = ["policy", "final mean", "median", "p95", "time average"]
+    _, _, *more = _metrics(summary).items()
+    head = ["policy", "final mean", "median", "p95", "time average", *(words for _, words in more)]
     head += ["average p95", "lost late", "range final", "range average"] if in_space else []
     head += ["bound", "lost", "collapsed", "NEES mean / median", *(ZONES[name] for name in zones), "µs/decision"]
     rows = []
     for name, figures in policies.items():
-        final, mean = (figures[metric] for metric in _metrics(summary))
+        final, mean, *rest = (figures[metric] for metric in _metrics(summary))
         cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
+        cells += [f"{figure['mean']:.3g}" for figure in rest]
         if in_space:
             ranges = (figures[f"{when}_range_error_m"]["mean"] for when in METRICS)
             cells += [f"{mean['p95']:.0f}", _percent(figures["lost_late_share"]), *(f"{value:.0f}" for value in ranges)]
@@ -109,7 +115,7 @@ def _ratios_table(summary: Mapping[str, Any]) -> list[str]:
     rows = []
     for name in summary["policies"]:
         compared = [summary["ratios"][base].get(name) for base in bases]
-        for metric, words in zip(_metrics(summary), METRICS.values(), strict=True):
+        for metric, words in _metrics(summary).items():
             rows.append([name, words, *(_ratio_cell(ratios, metric) for ratios in compared)])
         if summary["score"] == "position":
             rows.append([name, "lost late, less base", *(_difference_cell(ratios) for ratios in compared)])
@@ -125,9 +131,10 @@ def _note(summary: Mapping[str, Any]) -> str:
     honest = nees_scale(summary["state_size"])
     return (
         f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
-        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}Bound: posterior Cramér–Rao bound at the "
-        "end, mean; it is a standard deviation (a mean absolute error may lie 20 % below it) for targets as restless "
-        "as the filter assumes (those that fly straight for long can be ranged better). Collapsed: ends more than "
+        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}{_maneuver_note(summary)}"
+        "Bound: posterior Cramér–Rao bound at the end, mean; it is a standard deviation (a mean absolute error may lie "
+        "20 % below it) for targets as restless as the filter assumes (those that fly straight for long can be ranged "
+        "better). Collapsed: ends more than "
         f"{COLLAPSE_M / 1e3:.0f} km off or with a NEES above {honest.collapse:.1f}, its 99.99 % quantile. NEES: at the "
         f"end; an honest tracker has mean {honest.degrees} and median {honest.median:.1f}, a cautious one less. "
         "Below: ratios of means to every baseline's, with paired bootstrap 95 % intervals."
@@ -138,6 +145,15 @@ def _late_note(summary: Mapping[str, Any]) -> str:
     if summary["score"] == "range":
         return ""
     return f"Lost late: more than {LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps. "
+
+
+def _maneuver_note(summary: Mapping[str, Any]) -> str:
+    if not MANEUVERS.keys() & _metrics(summary).keys():
+        return ""
+    return (
+        "While maneuvering: position error over the steps at which the target accelerates, mean over the episodes that "
+        "have any. Acceleration: error of its estimate in m/s², time average. "
+    )
 
 
 def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[Path]:

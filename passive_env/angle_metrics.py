@@ -90,13 +90,13 @@ class AngleFigures:
         self._scenario = scenario
         self._std = np.radians([scenario.azimuth_std_deg, scenario.elevation_std_deg])
 
-    def begin(self, estimate, truth, platforms, tape) -> tuple[Any, AngleMetrics]:
+    def begin(self, estimate, truth, platforms, tape, reports) -> tuple[Any, AngleMetrics]:
         """Bound and figures of the first scan, in which every sensor sees the target."""
         std = np.broadcast_to(self._std, (*platforms.shape[:2], 2))[:, None]
         bound = bound_start(truth, platforms[:, None, :, :3], std, PRIOR_VELOCITY_STD_M_S)
         return bound, self._measure(estimate, truth, bound, platforms)
 
-    def advance(self, estimate, truth, bound, platforms, tape) -> tuple[Any, AngleMetrics]:
+    def advance(self, estimate, truth, bound, platforms, tape, reports) -> tuple[Any, AngleMetrics]:
         """Bound and figures of a later scan from the bound after the one before it."""
         s = self._scenario
         shape = (*truth.shape[:2], platforms.shape[1], 2)

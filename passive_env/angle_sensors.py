@@ -56,6 +56,9 @@ class AngleReports(NamedTuple):
     slots: Any
     scan: AngleScan
     predicted: Gaussian
+    model_probability: Any = ()
+    detected: Any = ()
+    acceleration: Any = ()
 
 
 class Clutter(NamedTuple):
@@ -159,7 +162,7 @@ class AngleSensors:
         """The scan of an instant: steps [e], platforms [e, s, 6], the tracker's predicted state."""
         return self._sense(tape, step, platforms, self._tracker.estimate(predicted))
 
-    def acquired(self, sighting: AngleSighting) -> AngleReports:
+    def acquired(self, sighting: AngleSighting, state: Any) -> AngleReports:
         """What the first scan brought: a track from every platform's return."""
         e, platforms, _ = sighting.scan.valid.shape
         one = np.ones((e, 1, platforms), dtype=np.int64)

@@ -12,6 +12,9 @@ class Reports(NamedTuple):
     returns: Any
     missed: Any
     available: Any
+    model_probability: Any = ()
+    detected: Any = ()
+    acceleration: Any = ()
 
 
 class Belief(NamedTuple):
@@ -31,6 +34,10 @@ class Belief(NamedTuple):
             s is 0 in scenarios whose trackers do not say.
         available: [e, s, 2] bool, whether the platform's azimuths and elevations of the last scan could be used;
             s is 0 in scenarios without dropouts.
+        model_probability: [e, m, r] probabilities of a multiple-model tracker's r models; empty, like the next two,
+            in scenarios whose trackers have none.
+        detected: [e, m, r] bool, models that find the target maneuvering.
+        acceleration: [e, m, 2] estimated acceleration [m/s²].
     """
 
     steps_left: Any
@@ -44,3 +51,6 @@ class Belief(NamedTuple):
     discs: Any
     missed: Any = None
     available: Any = None
+    model_probability: Any = ()
+    detected: Any = ()
+    acceleration: Any = ()

@@ -62,10 +62,11 @@ class Simulation:
         state = self.tracker.initiate(sighting.scan)
         estimate = self.tracker.estimate(state)
         _check_estimate(estimate, sighting.truth.shape, self.tracker)
-        bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms, tape)
+        reports = self.sensors.acquired(sighting, state)
+        bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms, tape, reports)
         batch = len(generators)
         return World(
-            np.zeros(batch, dtype=np.int64), tape.platforms, tape, state, estimate, self.sensors.acquired(sighting),
+            np.zeros(batch, dtype=np.int64), tape.platforms, tape, state, estimate, reports,
             np.zeros((batch, self.actions.size)), bound, sighting.truth, metrics,
             self.metrics.violations(tape.platforms, sighting.truth, tape),
         )  # fmt: skip
@@ -79,14 +80,19 @@ class Simulation:
         update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
         _check_shapes(estimate, sighting.truth.shape, self.tracker)
-        bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms, world.tape)
+        reports = self.sensors.report(sighting, update)
+        bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms, world.tape, reports)
         new = World(
-            step, platforms, world.tape, update.posterior, estimate, self.sensors.report(sighting, update), command,
-            bound, sighting.truth, metrics, self.metrics.violations(platforms, sighting.truth, world.tape),
+            step, platforms, world.tape, update.posterior, estimate, reports, command, bound, sighting.truth, metrics,
+            self.metrics.violations(platforms, sighting.truth, world.tape),
         )  # fmt: skip
         moment = Moment(metrics, world.metrics, new.violations, command, self.finished(new))
         reward, terms = evaluate(self.scenario.reward_weights, moment)
         return new, reward, terms
+
+    def command(self, world: World, values: Any) -> Any:
+        """Commands [e, a] of decoded actions [e, a], by what is known of a world."""
+        return self.actions.commands(values, self.belief(world))
 
     def belief(self, world: World) -> Belief:
         """What an operator knows of the world."""
@@ -94,7 +100,7 @@ class Simulation:
         return Belief(
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             told.assigned, told.returns, world.last_action, world.track_state, world.tape.discs,
-            told.missed, told.available,
+            told.missed, told.available, told.model_probability, told.detected, told.acceleration,
         )  # fmt: skip
 
     def observe(self, world: World) -> Any:

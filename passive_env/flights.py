@@ -258,6 +258,19 @@ class FlightPaths:
         rows = self._start_row(rank, ends, steps)[..., None] + np.arange(steps + 1)
         return self.states[rows]
 
+    def turning_starts(self, steps: int, acceleration_m_s2: float, turning_s: float) -> np.ndarray:
+        """[m] those of `window_starts` whose windows accelerate level, harder than a limit, for long enough.
+
+        Args:
+            steps: rows after a window's first.
+            acceleration_m_s2: the limit, on the change of the level velocity from row to row.
+            turning_s: time for which it is exceeded, in one turn or several [s]; 0 takes every window.
+        """
+        starts = self.window_starts(steps)
+        change = np.linalg.norm(np.diff(self.states[:, 3:5], axis=0), axis=-1) / self.step_s
+        before = np.concatenate([[0], np.cumsum(change > acceleration_m_s2)])  # steps that turn before each row
+        return starts[self.step_s * (before[starts + steps] - before[starts]) >= turning_s]
+
     def _starts_up_to(self, steps: int) -> np.ndarray:
         """[flights] number of possible window starts in the flights up to and including each one."""
         if steps < 0:

@@ -68,8 +68,33 @@ def turn(states, turn_rate, step_s):
     return _turn(states, turn_rate, step_s)
 
 
+STANDING_M_S = 1e-6
+"""A platform that stands has its heading as the direction of a velocity this small, 0.1 mm in a hundred seconds."""
+
+
+@kernel("(s,x),(s),(s),()->(s,x)", "FFFfF")
+def _drive(states, turn_rate, speed, step_s, out):
+    for i in range(states.shape[0]):
+        vx, vy = states[i, 2], states[i, 3]
+        gain = max(speed[i], STANDING_M_S) / max(math.hypot(vx, vy), 1e-300)
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = states[i, 0], states[i, 1], gain * vx, gain * vy
+        advance_in_place(out[i], 0.0, turn_rate[i], step_s)
+
+
+def drive(states, turn_rate, speed, step_s):
+    """Move each platform for one step at a speed and turn rate of its own; one that stands turns on the spot.
+
+    Args:
+        states: [..., s, 4] m, m/s, of at least `STANDING_M_S`; turn_rate: [..., s] rad/s; speed: [..., s] m/s, from the
+            step's beginning on; step_s: s.
+    Returns:
+        [..., s, 4].
+    """
+    return _drive(states, turn_rate, speed, step_s)
+
+
 @helper
-def _turned_by(turned, T):
+def turned_by(turned, T):
     """Cosine and sine of a turn by `turned` rad in T seconds, and the arc's reach along and across the start course
     [s], to be multiplied by the speed (as `arc`)."""
     c, s = math.cos(turned), math.sin(turned)
@@ -88,7 +113,7 @@ def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
     """
     x, y, vx, vy = level[0], level[1], level[2], level[3]
     heading, leg = math.atan2(vy, vx), 0
-    straight, hardest = _turned_by(0.0, T), _turned_by(limit, T)
+    straight, hardest = turned_by(0.0, T), turned_by(limit, T)
     for k in range(steps):
         while leg < ends.shape[0] - 1 and k >= ends[leg]:
             leg += 1
@@ -98,7 +123,7 @@ def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
         if abs(turned) <= 1e-9:
             c, s, along, across = straight
         elif abs(turned) < limit:
-            c, s, along, across = _turned_by(turned, T)
+            c, s, along, across = turned_by(turned, T)
         else:
             c, s, along, across = hardest
             if turned < 0.0:
@@ -172,6 +197,63 @@ def maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, s
         [..., k + 1, 4] exact states at multiples of the step.
     """
     return _maneuver(start, turn_rate, turn_window, acceleration, acceleration_window, step_s, steps_axis)
+
+
+MANEUVER_UNIFORMS = 5
+"""Uniform numbers of a leg of `random_maneuvers`: quiet time, kind, acceleration, duration or new speed, sense."""
+
+
+@helper
+def _stage(u, quiet, speed, limits):
+    """Duration [s], acceleration along the course [m/s²] and turn rate [rad/s] of a leg's quiet part or maneuver."""
+    if quiet:
+        return limits[0] + (limits[1] - limits[0]) * u[0], 0.0, 0.0
+    size = limits[4] + (limits[5] - limits[4]) * u[2]
+    if u[1] < limits[9]:
+        rate = min(size / max(speed, 1e-3), limits[6])
+        return limits[2] + (limits[3] - limits[2]) * u[3], 0.0, rate if u[4] < 0.5 else -rate
+    gain = limits[7] + (limits[8] - limits[7]) * u[3] - speed
+    return min(abs(gain) / size, limits[3]), size if gain > 0.0 else -size, 0.0
+
+
+@kernel("(x),(n,q),(l),(),(k),(p)->(k,x),(k,p)")
+def _random_maneuvers(start, u, limits, step_s, like, like_p, path, acceleration):
+    state = start.copy()
+    stage, t, until, a, w = 0, 0.0, 0.0, 0.0, 0.0
+    for k in range(like.shape[0]):
+        while until <= k * step_s:
+            advance_in_place(state, a, w, until - t)
+            t = until
+            leg = min(stage // 2, u.shape[0] - 1)
+            duration, a, w = _stage(u[leg], stage % 2 == 0, math.hypot(state[2], state[3]), limits)
+            until += duration
+            stage += 1
+        advance_in_place(state, a, w, k * step_s - t)
+        t = k * step_s
+        path[k] = state
+        along = a / max(math.hypot(state[2], state[3]), 1e-300)
+        acceleration[k, 0] = along * state[2] - w * state[3]
+        acceleration[k, 1] = along * state[3] + w * state[2]
+
+
+def random_maneuvers(start, uniforms, limits, step_s, steps_axis):
+    """Path of a target that flies straight, turns or changes its speed, flies straight, …, and its acceleration.
+
+    A turn has a lateral acceleration and a duration, or a slower rate where the acceleration would turn it faster
+    than the largest one; a change of speed an acceleration and a new speed, until it has this or the longest
+    maneuver is over.
+
+    Args:
+        start: [..., 4] m, m/s.
+        uniforms: [..., n, 5] (`MANEUVER_UNIFORMS`), one row per leg; the last one repeats.
+        limits: [10] shortest and longest quiet time [s], shortest and longest maneuver [s], smallest and largest
+            acceleration [m/s²], largest turn rate [rad/s], smallest and largest speed [m/s], share of turns.
+        step_s: s; steps_axis: [k + 1] any array of the path's length.
+    Returns:
+        [..., k + 1, 4] exact states at multiples of the step; [..., k + 1, 2] m/s², the accelerations there (of what
+        begins, where one ends and another begins).
+    """
+    return _random_maneuvers(start, uniforms, limits, step_s, steps_axis, np.empty(2))
 
 
 @kernel("(x),(t),(t,w),(),(k)->(k,x)")

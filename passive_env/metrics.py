@@ -161,7 +161,7 @@ class BearingMetrics:
         # A missed bearing scales the expected information: the same as noise larger by 1/√P_D.
         self._bound_std = self._std / math.sqrt(scenario.detection_probability)
 
-    def begin(self, estimate, truth, platforms, tape) -> tuple[Any, Metrics]:
+    def begin(self, estimate, truth, platforms, tape, reports) -> tuple[Any, Metrics]:
         """Bound and figures of the first scan, of which all stations' bearings count."""
         prior = bound_prior(
             truth, platforms[:, None, -1, :2], PRIOR_BEARING_STD_RAD, self._scenario.bound_range_std_m,
@@ -169,7 +169,7 @@ class BearingMetrics:
         )  # fmt: skip
         return self._measure(estimate, truth, prior, platforms, 0.0, self._std, all_stations=True)
 
-    def advance(self, estimate, truth, bound, platforms, tape) -> tuple[Any, Metrics]:
+    def advance(self, estimate, truth, bound, platforms, tape, reports) -> tuple[Any, Metrics]:
         """Bound and figures of a later scan from the bound after the one before it."""
         return self._measure(
             estimate, truth, bound, platforms, self._scenario.step_s, self._bound_std, self._all_stations

@@ -38,7 +38,7 @@ def clip_value(value):
 
 
 @helper
-def _mean_sight(platforms, mean):
+def mean_sight(platforms, mean):
     """Cosine and sine of the mean line of sight ψ, from the platforms' midpoint to the middle of the tracks."""
     dx = dy = 0.0
     for m in range(mean.shape[0]):
@@ -50,7 +50,7 @@ def _mean_sight(platforms, mean):
 
 
 @helper
-def _write_platforms(platforms, c, s, out, i):
+def write_platforms(platforms, c, s, out, i):
     """Platforms relative to the reference and their headings, in the frame of ψ; returns the next index."""
     ref = platforms.shape[0] - 1
     for p in range(platforms.shape[0]):
@@ -66,7 +66,7 @@ def _write_platforms(platforms, c, s, out, i):
 
 
 @helper
-def _write_track(x, platforms, alone, c, s, out, i):
+def write_track(x, platforms, alone, c, s, out, i):
     """Range, bearing and velocity of a track from the reference, range and crossing angle from the other platforms.
 
     One platform's line of sight to a track that is `alone` is ψ itself: its bearing is left out.
@@ -91,7 +91,7 @@ def _write_track(x, platforms, alone, c, s, out, i):
 
 
 @helper
-def _write_covariance(P, a, b, out, i):
+def write_covariance(P, a, b, out, i):
     """Log standard deviations and correlations in the line-of-sight frame (a, b): radial, cross, and their rates."""
     p00 = a * a * P[0, 0] + 2.0 * a * b * P[0, 1] + b * b * P[1, 1]
     p11 = b * b * P[0, 0] - 2.0 * a * b * P[0, 1] + a * a * P[1, 1]
@@ -125,16 +125,16 @@ def _write_discs(discs, platforms, c, s, out, i):
 
 @kernel("(),(s,x),(m,x),(m,x,x),(m,s),(a),(h,c),(d)->(d)", "fFFFBFFgG")
 def _observe(time_left, platforms, mean, cov, assigned, last_action, discs, like, out):
-    c, s = _mean_sight(platforms, mean)
+    c, s = mean_sight(platforms, mean)
     alone = platforms.shape[0] == 1 and mean.shape[0] == 1
     out[0] = time_left
-    i = _write_platforms(platforms, c, s, out, 1)
+    i = write_platforms(platforms, c, s, out, 1)
     for k in range(last_action.shape[0]):
         out[i + k] = last_action[k]
     i += last_action.shape[0]
     for m in range(mean.shape[0]):
-        i, a, b = _write_track(mean[m], platforms, alone, c, s, out, i)
-        i = _write_covariance(cov[m], a, b, out, i)
+        i, a, b = write_track(mean[m], platforms, alone, c, s, out, i)
+        i = write_covariance(cov[m], a, b, out, i)
         for p in range(platforms.shape[0]):
             out[i + p] = 1.0 if assigned[m, p] else 0.0
         i += platforms.shape[0]
@@ -199,36 +199,45 @@ def _mirror_images(fields: tuple[Field, ...], targets: int) -> list[int]:
 
 def _fields(stations: int, targets: int, actions: int, discs: int):
     yield Field("time_left", "1", "share of the episode's steps")
+    yield from platform_fields(stations)
+    for a in range(actions):
+        yield Field(f"last_action{a}", "1", "previous action", odd=True)
+    for m in range(targets):
+        yield from track_fields(f"track{m}", stations, bearing=stations > 1 or targets > 1)
+        for s in range(stations):
+            yield Field(f"track{m}.assigned{s}", "1", f"1 if platform {s}'s bearing updated the track")
+    for d in range(discs):
+        yield Field(f"disc{d}.along", "m", "centre of a no-go disc relative to the reference platform along ψ / 20 km")
+        yield Field(f"disc{d}.across", "m", "the same, left of ψ / 20 km", odd=True)
+
+
+def platform_fields(stations: int):
+    """What `write_platforms` writes."""
     for s in range(stations):
         if s < stations - 1:
             yield Field(f"platform{s}.along", "m", "position relative to the reference platform along ψ / 20 km")
             yield Field(f"platform{s}.across", "m", "the same, left of ψ / 20 km", odd=True)
         yield Field(f"platform{s}.heading_cos", "1", "cosine of heading − ψ")
         yield Field(f"platform{s}.heading_sin", "1", "sine of heading − ψ", odd=True)
-    for a in range(actions):
-        yield Field(f"last_action{a}", "1", "previous action", odd=True)
-    for m in range(targets):
-        name = f"track{m}"
-        yield Field(f"{name}.log_range", "m", "log(range from the reference / 50 km)")
-        if stations > 1 or targets > 1:
-            yield Field(f"{name}.bearing_cos", "1", "cosine of line of sight − ψ")
-            yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ", odd=True)
-        yield Field(f"{name}.radial_velocity", "m/s", "/ 300 m/s")
-        yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive", odd=True)
-        for s in range(stations - 1):
-            yield Field(f"{name}.log_range{s}", "m", f"log(range from platform {s} / 50 km)")
-            angle = f"sine of the angle from the reference's to platform {s}'s line"
-            yield Field(f"{name}.crossing_sin{s}", "1", angle, odd=True)
-        axes = ("radial", "cross", "radial_velocity", "cross_velocity")
-        for axis in axes:
-            unit, size = ("m/s", "50 m/s") if "velocity" in axis else ("m", "1 km")
-            yield Field(f"{name}.log_std_{axis}", unit, f"log(standard deviation / {size}) / 2")
-        for i, first in enumerate(axes):
-            for second in axes[i + 1 :]:
-                odd = ("cross" in first) != ("cross" in second)
-                yield Field(f"{name}.corr_{first}_{second}", "1", "correlation coefficient", odd)
-        for s in range(stations):
-            yield Field(f"{name}.assigned{s}", "1", f"1 if platform {s}'s bearing updated the track")
-    for d in range(discs):
-        yield Field(f"disc{d}.along", "m", "centre of a no-go disc relative to the reference platform along ψ / 20 km")
-        yield Field(f"disc{d}.across", "m", "the same, left of ψ / 20 km", odd=True)
+
+
+def track_fields(name: str, stations: int, bearing: bool = True):
+    """What `write_track` and `write_covariance` write of a track."""
+    yield Field(f"{name}.log_range", "m", "log(range from the reference / 50 km)")
+    if bearing:
+        yield Field(f"{name}.bearing_cos", "1", "cosine of line of sight − ψ")
+        yield Field(f"{name}.bearing_sin", "1", "sine of line of sight − ψ", odd=True)
+    yield Field(f"{name}.radial_velocity", "m/s", "/ 300 m/s")
+    yield Field(f"{name}.cross_velocity", "m/s", "/ 300 m/s, left positive", odd=True)
+    for s in range(stations - 1):
+        yield Field(f"{name}.log_range{s}", "m", f"log(range from platform {s} / 50 km)")
+        angle = f"sine of the angle from the reference's to platform {s}'s line"
+        yield Field(f"{name}.crossing_sin{s}", "1", angle, odd=True)
+    axes = ("radial", "cross", "radial_velocity", "cross_velocity")
+    for axis in axes:
+        unit, size = ("m/s", "50 m/s") if "velocity" in axis else ("m", "1 km")
+        yield Field(f"{name}.log_std_{axis}", unit, f"log(standard deviation / {size}) / 2")
+    for i, first in enumerate(axes):
+        for second in axes[i + 1 :]:
+            odd = ("cross" in first) != ("cross" in second)
+            yield Field(f"{name}.corr_{first}_{second}", "1", "correlation coefficient", odd)

@@ -192,13 +192,19 @@ class Scene:
         stations, targets: how many.
         steps: the episode's length, for the title.
         standoff_m: radius of the targets' stand-off rings, 0 for none.
+        box: left, bottom, width, height of the axes as shares of the picture.
     """
 
-    def __init__(self, figure: Figure, stations: int, targets: int, steps: int, standoff_m: float = 0.0):
+    legend_columns = 4
+    """Of more than six samples: two rows have room."""
+
+    def __init__(
+        self, figure: Figure, stations: int, targets: int, steps: int, standoff_m: float = 0.0, box: Any = AXES_BOX
+    ):
         self._figure, self._steps, self._standoff_m = figure, steps, standoff_m
-        self._axes = axes = figure.add_axes(AXES_BOX)
+        self._axes = axes = figure.add_axes(box)
         style_axes(axes)
-        self.aspect = AXES_BOX[2] / AXES_BOX[3]
+        self.aspect = box[2] / box[3]
         colors = [series_color(j) for j in range(targets)]
         self._colors = np.array([to_rgb(color) for color in colors])
         per_line = [color for color in colors for _ in range(stations)]
@@ -231,8 +237,11 @@ class Scene:
         self._show_tracks(world, frame)
         self._show_hypotheses(hypotheses or NO_HYPOTHESES)
         self._clock.set_text(f"t = {step * step_s:g} s   (step {step} of {self._steps})")
+        self._merit.set_text(self._merit_of(world))
+
+    def _merit_of(self, world: World) -> str:
         error, bound = world.metrics.range_error_m[0].mean(), world.metrics.range_crlb_m[0].mean()
-        self._merit.set_text(f"mean range error {kilometres(error)},  1σ bound {kilometres(bound)}")
+        return f"mean range error {kilometres(error)},  1σ bound {kilometres(bound)}"
 
     def pixels(self) -> np.ndarray:
         """RGB uint8 [h, w, 3]; axes and legend, three quarters of the work, are drawn only when they change."""
@@ -254,8 +263,12 @@ class Scene:
         self._shown, self._background = (hypotheses, *frame.low, *frame.high), None
         set_limits(self._axes, frame)
         samples = legend_samples(hypotheses, world.platforms.shape[1] > 1)
-        samples += zone_samples(world.tape.discs.shape[1] > 0, self._standoff_m > 0.0)
-        bottom_legend(self._figure, samples, columns=3 if len(samples) <= 6 else 4)  # two rows have room
+        samples += zone_samples(world.tape.discs.shape[1] > 0, self._standoff_m > 0.0) + self._more_samples()
+        bottom_legend(self._figure, samples, columns=3 if len(samples) <= 6 else self.legend_columns)
+
+    def _more_samples(self) -> list[Any]:
+        """Samples of what a family's own scene adds."""
+        return []
 
     def _show_platforms(self, world: World, trails: np.ndarray, frame: Frame) -> None:
         self._trails.set_segments(list(1e-3 * trails))

@@ -1,8 +1,8 @@
 """What the agent earns: weighted terms, each a pure function of one instant with a unit. Truth may be used here.
 
 A term maps a `Moment` to [e] numbers; larger is better. The scenario holds the weights; terms of weight 0 are not
-computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` is for scenarios in space,
-whose metrics have it.
+computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` is for scenarios whose
+metrics have it, `turn_position_error` and `acceleration_error` for those with a maneuvering target.
 """
 
 from __future__ import annotations
@@ -107,6 +107,16 @@ def log_position_bound(moment: Moment):
     return math.log(1e3) - _mean_log(moment.metrics.position_crlb_m, 1.0)
 
 
+def turn_position_error(moment: Moment):
+    """`position_error` of targets that maneuver, 0 for the others, mean over targets [1 km]."""
+    return -_mean_cut(np.where(moment.metrics.maneuvering, moment.metrics.position_error_m, 0.0), 1e3)
+
+
+def acceleration_error(moment: Moment):
+    """−error of the estimated acceleration, mean over targets, each at most 100 m/s² [10 m/s²]."""
+    return -_mean_cut(moment.metrics.acceleration_error_m_s2, 10.0)
+
+
 def log_range_bound(moment: Moment):
     """−log(range bound / 1 km), mean over targets: the geometry's quality without the draw's luck [nepers]."""
     return math.log(1e3) - _mean_log(moment.metrics.range_crlb_m, 1.0)
@@ -161,6 +171,8 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         position_error,
         final_position_error,
         log_position_bound,
+        turn_position_error,
+        acceleration_error,
     )
 }
 """All reward terms by name."""

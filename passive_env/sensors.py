@@ -107,7 +107,7 @@ class DirectionFinders:
         """A later scan; nothing in it depends on the predicted tracks."""
         return sense(tape, step, platforms, self._std)
 
-    def acquired(self, sighting: Sighting) -> Reports:
+    def acquired(self, sighting: Sighting, state: Any) -> Reports:
         """What the first scan brought: all of it started tracks."""
         e, stations, targets = sighting.scan.valid.shape
         return _reports(np.ones((e, targets, stations), dtype=bool), sighting.scan)

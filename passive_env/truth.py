@@ -60,6 +60,59 @@ class TruthObservation:
         return self._mirror_sign * numbers[..., self._mirror_of]
 
 
+AHEAD_S = (0.0, 5.0, 15.0)
+"""Instants, from now, whose true accelerations a critic may know."""
+
+
+class ManeuverTruthObservation:
+    """What `TruthObservation` shows of a single target, and its maneuver, now and soon.
+
+    Fields after those, along and left of the line of sight from the reference:
+
+        truth0.radial_accelerationN truth0.cross_accelerationN  m/s²  true, at the N-th of `AHEAD_S`, / 30 m/s²
+        truth0.radial_acceleration_error truth0.cross_…         m/s²  estimate − truth, / 30 m/s²
+        truth0.log_position_bound                               m     log(bound / 100 m) / 2
+
+    Args:
+        step_s: time between scans [s].
+        reference: index of the platform from which ranges are measured.
+    """
+
+    def __init__(self, step_s: float, reference: int = -1):
+        self._truth = TruthObservation(1, reference)
+        self.fields = (*self._truth.fields, *_maneuver_fields("truth0"))
+        self._reference = reference
+        self._ahead = np.rint(np.array(AHEAD_S) / step_s).astype(np.int64)
+        self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
+
+    def __call__(self, world: World) -> np.ndarray:
+        """Numbers [e, d] float32 in ±`LIMIT`."""
+        sight = world.truth[:, 0, :2] - world.platforms[:, self._reference, :2]
+        sight = sight / np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1.0)
+        known = world.tape.accelerations[:, :, 0]
+        at = np.minimum(world.step[:, None] + self._ahead, known.shape[1] - 1)
+        with np.errstate(all="ignore"):  # a diverged tracker's numbers are cut below
+            error = world.reports.acceleration[:, 0] - world.reports.true_acceleration[:, 0]
+            vectors = np.concatenate([np.take_along_axis(known, at[..., None], axis=1), error[:, None]], axis=1) / 30.0
+            parts = np.stack(_along_and_left(vectors, sight[:, None]), axis=-1).reshape(len(at), -1)
+            bound = 0.5 * np.log(np.maximum(world.metrics.position_crlb_m, 1.0) / 100.0)
+            numbers = np.nan_to_num(np.hstack([parts, bound]), posinf=LIMIT, neginf=-LIMIT)
+        return np.hstack([self._truth(world), np.clip(numbers, -LIMIT, LIMIT).astype(np.float32)])
+
+    def mirrored(self, numbers: np.ndarray) -> np.ndarray:
+        """Numbers [..., d] of the mirrored worlds: left is right."""
+        return self._mirror_sign * numbers
+
+
+def _maneuver_fields(name: str):
+    for i, ahead in enumerate(AHEAD_S):
+        yield Field(f"{name}.radial_acceleration{i}", "m/s²", f"/ 30 m/s², in {ahead:g} s")
+        yield Field(f"{name}.cross_acceleration{i}", "m/s²", f"/ 30 m/s², in {ahead:g} s, left positive", odd=True)
+    yield Field(f"{name}.radial_acceleration_error", "m/s²", "estimate − truth, / 30 m/s²")
+    yield Field(f"{name}.cross_acceleration_error", "m/s²", "estimate − truth, / 30 m/s², left positive", odd=True)
+    yield Field(f"{name}.log_position_bound", "m", "log(Cramér–Rao bound / 100 m) / 2")
+
+
 def _along_and_left(velocity: np.ndarray, sight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parts of velocities [..., d] along unit vectors [..., d] and level to their left."""
     left = sight[..., 0] * velocity[..., 1] - sight[..., 1] * velocity[..., 0]

@@ -36,6 +36,12 @@ VARIANTS = (
     {"clutter_density_per_deg2": 0.05, "clutter_window_deg": 5.0, "clutter_mean": 0.0},
     {"formation": "trail"},
     {"tracker": "angle_ekf"},
+    {"course": "paper1"},
+    {"course": "paper2", "stations": 4},
+    {"course": "flights", "flight_turn_s": 5.0},
+    {"carrier": "ground", "detection_probability": 0.7},
+    {"tracker": "imm3"},
+    {"tracker": "mie"},
     {"render_mode": "rgb_array"},
 )
 
@@ -43,10 +49,6 @@ VARIANTS = (
 def applies(env_id, variant) -> bool:
     """Whether an environment's scenario has a variant's fields and allows its values."""
     rules = {f.name: f.metadata for f in dataclasses.fields(SCENARIOS[scenario_name(env_id)])}
-    if SCENARIOS[scenario_name(env_id)].tracker.startswith("angle") != variant.get("tracker", "angle").startswith(
-        "angle"
-    ):
-        return False
     return all(
         name == "render_mode" or (name in rules and allows(rules[name], value)) for name, value in variant.items()
     )
@@ -77,7 +79,17 @@ INFO = {
 VIOLATIONS = {"standoff_violation", "nogo_violation"}
 INFO_IN_SPACE = {"position_crlb_m": np.float64, "dropped_returns": np.int64}
 """What scenarios in space show besides."""
-REPORTS = (".assigned", ".returns", ".missed", ".available")
+INFO_OF_MANEUVERS = {
+    "position_crlb_m": np.float64,
+    "acceleration_error_m_s2": np.float64,
+    "fix_error_m": np.float64,
+    "fixed": np.bool_,
+    "maneuvering": np.bool_,
+}
+"""What those with a maneuvering target show besides."""
+PARTS_OF_MANEUVERS = {"acceleration": np.float64, "model_probability": np.float64, "detected": np.bool_}
+"""The same with an axis of components or models."""
+REPORTS = (".assigned", ".returns", ".missed", ".available", ".detected")
 """Observed numbers that tell what the last scan brought."""
 
 
@@ -103,7 +115,7 @@ def arrays_of(observation, info):
 
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
     known = ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")
-    known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow")
+    known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow", "ManeuveringTarget")
     assert {f"passive/{name}-v0" for name in known} <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
@@ -266,8 +278,15 @@ def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     env = make(env_id, variant)
     targets = env.unwrapped.scenario.targets
     shown = INFO | (INFO_IN_SPACE if "AngleFusion" in env_id else {})
+    shown |= INFO_OF_MANEUVERS if "ManeuveringTarget" in env_id else {}
+    parts = PARTS_OF_MANEUVERS if "fixed" in shown else {}
     for _, reward, truncated, info in episode(env):
-        assert set(info) == {*shown, *VIOLATIONS, "reward_terms"}
+        assert set(info) == {*shown, *parts, *VIOLATIONS, "reward_terms"}
+        for name, dtype in parts.items():
+            assert info[name].shape[0] == targets, name
+            assert info[name].ndim == 2, name
+            assert info[name].dtype == dtype, name
+            assert np.all(np.isfinite(info[name])), name
         assert all(type(info[name]) is float and info[name] >= 0.0 for name in VIOLATIONS)
         for name, dtype in shown.items():
             assert info[name].shape == (targets,), name

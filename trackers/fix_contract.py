@@ -79,6 +79,11 @@ class ManeuverUpdate(NamedTuple):
 class ManeuverTracker(Protocol):
     """Estimates state and acceleration of a maneuvering target (see `trackers.contract.Tracker`)."""
 
+    @property
+    def models(self) -> int:
+        """Number of filters whose probabilities the updates tell, at first all alike."""
+        ...
+
     def initiate(self, scan: BearingScan) -> Any:
         """One track from the first scan."""
         ...

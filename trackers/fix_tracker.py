@@ -86,6 +86,11 @@ class FixTracker(ABC):
             raise ValueError("start: mean and cov must be finite")
         return mean, cov
 
+    @property
+    @abstractmethod
+    def models(self) -> int:
+        """Number of filters."""
+
     @abstractmethod
     def start(self, track: Gaussian) -> Any:
         """State of tracks that begin as mean [..., 2d] (position, velocity) and cov [..., 2d, 2d], d = 2 or 3."""

@@ -165,6 +165,11 @@ class Imm3(FixTracker):
     def _chain(self) -> np.ndarray:
         return transition_matrix(self, "transition", 3)
 
+    @property
+    def models(self) -> int:
+        """Three."""
+        return 3
+
     def start(self, track: Gaussian) -> ImmState:
         """All models alike, acceleration 0 ± `initial_acceleration_std`."""
         mean, cov = self.checked_start(track)

@@ -285,6 +285,11 @@ class ImmMie(FixTracker):
         transition = transition_matrix(self, "transition", len(self.windows))
         return transition, np.array(self.windows, dtype=np.int64), np.array(self.thresholds, dtype=float)
 
+    @property
+    def models(self) -> int:
+        """One per window."""
+        return len(self.windows)
+
     def start(self, track: Gaussian) -> MieState:
         """All filters alike, windows empty."""
         mean, cov = self.checked_start(track)

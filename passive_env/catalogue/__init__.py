@@ -5,10 +5,15 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from passive_env.catalogue import angle_fusion, ownship, two_station
+from passive_env.catalogue import angle_fusion, maneuvering, ownship, two_station
 from passive_env.scenario import Scenario
 
-SCENARIOS: dict[str, Any] = {**two_station.CATALOGUE, **ownship.CATALOGUE, **angle_fusion.CATALOGUE}
+SCENARIOS: dict[str, Any] = {
+    **two_station.CATALOGUE,
+    **ownship.CATALOGUE,
+    **angle_fusion.CATALOGUE,
+    **maneuvering.CATALOGUE,
+}
 """All scenarios by name."""
 
 NAMESPACE, VERSION = "passive", "v0"

@@ -173,12 +173,21 @@ class BearingScenario(TrackingScenario):
             [e, k + 1, m, 4]; shape and speed of the recorded paths are unaltered.
         """
         windows = self.flight_paths.windows(picks, self.steps)
-        return instants_first(_place_flight(start, windows))
+        return instants_first(place_flight(start, windows))
 
 
 def instants_first(paths: np.ndarray) -> np.ndarray:
     """Paths [..., m, k + 1, 4] as a tape holds them: [..., k + 1, m, 4]."""
     return np.ascontiguousarray(np.swapaxes(paths, -2, -3))
+
+
+def place_flight(start: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Recorded windows [..., k, 6] turned and shifted so that they begin at starts [..., 4] on their courses.
+
+    Returns:
+        [..., k, 4].
+    """
+    return _place_flight(start, window)
 
 
 @kernel("(x),(k,y)->(k,x)")

@@ -84,19 +84,23 @@ class TrackingScenario(Scenario):
         return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
 
 
-def checked_tracker(tracker: Any) -> Any:
+VERBS = ("initiate", "predict", "update", "estimate")
+"""What every tracker has."""
+
+
+def checked_tracker(tracker: Any, more: tuple[str, ...] = ()) -> Any:
     """A user's tracker object, as it is.
+
+    Args:
+        more: verbs that the family needs besides `VERBS`.
 
     Raises:
         TypeError: a class, or an object that lacks a verb of the contract.
     """
     if isinstance(tracker, type):
         raise TypeError(f"tracker is the class {tracker.__name__}, must be an object: tracker={tracker.__name__}(…)")
-    missing = [
-        verb for verb in ("initiate", "predict", "update", "estimate") if not callable(getattr(tracker, verb, None))
-    ]
+    verbs = VERBS + more
+    missing = [verb for verb in verbs if not callable(getattr(tracker, verb, None))]
     if missing:
-        raise TypeError(
-            f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs initiate, predict, update, estimate"
-        )
+        raise TypeError(f"tracker {tracker!r} has no {', '.join(missing)}; a tracker needs {', '.join(verbs)}")
     return tracker
