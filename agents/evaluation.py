@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
-from agents.steering import course, line_of_sight
 from passive_env.core import World
+from passive_env.steering import course, line_of_sight
 from passive_env.vector_env import PassiveVectorEnv
 from trackers.angles import wrap
 
@@ -188,7 +188,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         start = time.perf_counter()
         commands = policy.act(belief, observation)
         seconds += time.perf_counter() - start
-        observation, _, _, _, info = env.step(encode(commands))
+        observation, _, _, _, info = env.step(encode(commands, belief))
         belief = env.belief()
         _show(policy, env.world)
         log.append(_instant(env.world, info, scenario.score))

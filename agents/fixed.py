@@ -55,6 +55,19 @@ class Straight:
         return np.zeros_like(belief.last_action)
 
 
+class Stand:
+    """Stay where one is: zero turn rate, lowest speed."""
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """No turns, speeds at −1."""
+        commands = np.zeros_like(belief.last_action)
+        commands[:, belief.platforms.shape[1] :] = -1.0
+        return commands
+
+
 class Random:
     """Uniform random commands.
 
@@ -106,3 +119,6 @@ STEADY = {
     "random": lambda scenario, seed: Random(seed),
 }
 """Makers (scenario, seed) of what any scenario can fly."""
+
+FIXED = {"fixed": lambda scenario, seed: Stand(), "random": STEADY["random"]}
+"""Makers (scenario, seed) of what stations that choose their speed can do blindly."""

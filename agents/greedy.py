@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -9,12 +10,27 @@ import numpy as np
 
 from agents.prediction import Prediction, Situation
 from agents.prediction_3d import Prediction3D
-from agents.steering import course, level_flight, line_of_sight, towards
+from agents.prediction_fixes import FixPrediction
+from agents.steering import level_flight
 from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.catalogue.maneuvering import ManeuveringTarget
+from passive_env.steering import course, line_of_sight
 
 TURN_LEVELS = 9
 """Turn rates tried by `controls="turns"`, from −limit to +limit."""
+
+OFF_SIGHT_DEG = 80.0
+"""Angle off the line of sight at which sides are compared."""
+
+TURN_WITHIN = 0.5 * math.pi
+"""Angle between course and heading above which a station that turns on the spot waits."""
+
+HALTS = 8
+"""How often stations that stop to measure do so in a plan, every other step, before they stop for good."""
+
+HOLD = 10**6
+"""A number of steps that no episode has."""
 
 PASSES = 2
 """How often several platforms' controls are improved in turn."""
@@ -22,7 +38,10 @@ PASSES = 2
 
 def predict(scenario: Any, *settings: Any) -> Prediction:
     """The prediction of a scenario's family: settings as of `agents.prediction.Prediction`."""
-    return (Prediction3D if isinstance(scenario, AngleFusion) else Prediction)(scenario, *settings)
+    families = {AngleFusion: Prediction3D, ManeuveringTarget: FixPrediction}
+    return next((kind for family, kind in families.items() if isinstance(scenario, family)), Prediction)(
+        scenario, *settings
+    )
 
 
 class Greedy:
@@ -62,8 +81,7 @@ class Greedy:
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """The first command of the best candidate."""
         best = self.best(self.prediction.situation(belief, self.horizon), belief.mean)
-        turns = best if self._turns else towards(best, belief.platforms, self.prediction.turn_per_step)
-        return level_flight(turns, belief)
+        return level_flight(best, belief) if self._turns else self.prediction.commands(best, belief)
 
     def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
         """The best controls [e, s] from a situation; `mean` [e, m, n] gives the line of sight."""
@@ -91,6 +109,91 @@ class Greedy:
         return np.concatenate([held, sight + _directions(self._headings)], axis=-1)
 
 
+class FixGreedy(Greedy):
+    """Tries headings and speeds held for some steps, of stations whose bearings become position fixes.
+
+    Which side every station goes to is decided first: `OFF_SIGHT_DEG` off its line of sight, for all patterns of left
+    and right, turning on the way or on the spot; or all go straight on, or all stop. Then the stations are improved in
+    turn: headings all about the line of sight, turning on the way or on the spot, or to stop. Stations that measure
+    only when slow drive for some of `DRIVE_STEPS`, all of them, and then stop.
+
+    Args:
+        as of `Greedy`, without `controls`.
+    Raises:
+        ValueError: as of `Greedy`.
+    """
+
+    @property
+    def legs(self) -> int:
+        """Legs of a plan; every other one is a halt where there are more than one."""
+        return 2 * HALTS if self.prediction.stops_to_measure else 1
+
+    def best(self, start: Situation, mean: np.ndarray) -> np.ndarray:
+        """The best controls [e, 3 s] of the first step."""
+        controls, ends = self.plan(start, mean)
+        return controls[np.arange(len(ends)), (ends > 0).argmax(axis=1)]
+
+    def plan(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best controls [e, g, 3 s] and ends of legs [e, g]."""
+        controls, ends = self._patterns(start, mean)
+        best, ends = self._better(start, controls, ends)
+        stations = start.platforms.shape[1]
+        for station in [*range(stations)] * (PASSES if stations > 2 else 1):
+            moves = self._moves(start, mean, best, station)
+            best, _ = self._better(start, moves, np.repeat(ends[:, None], moves.shape[1], axis=1))
+        return best, ends
+
+    def _better(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The best of plans [e, c, …]."""
+        rows = np.arange(len(controls))
+        choice = self.prediction.cost(start, controls, ends).argmin(axis=1)
+        return controls[rows, choice], ends[rows, choice]
+
+    def _patterns(self, start: Situation, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Controls [e, c, g, 3 s] and ends [e, c, g]: straight on, stopped, to all patterns of sides."""
+        stations = start.platforms.shape[1]
+        signs = np.array(list(itertools.product((1.0, -1.0), repeat=stations)))
+        sides = line_of_sight(start.platforms, mean)[:, None] + math.radians(OFF_SIGHT_DEG) * signs
+        apart = [_controls(sides, 1.0, within) for within in (math.pi, TURN_WITHIN)]
+        drives = np.concatenate([self.prediction.held(start.platforms)[:, None], *apart], axis=1)
+        stop = _stopped(drives[:, :1])
+        last = start.steps[:, None, None]
+        if self.legs == 1:
+            controls = np.concatenate([drives, stop], axis=1)[:, :, None]
+            return controls, np.broadcast_to(last, controls.shape[:3])
+        drive_and_halt = np.tile(np.stack([drives, _stopped(drives)], axis=2), (1, 1, HALTS, 1))
+        stay = np.repeat(stop[:, :, None], self.legs, axis=2)
+        number = np.arange(self.legs)
+        once = np.where(number == 0, 1, HOLD)
+        ends = np.concatenate([number[None] + 1, np.repeat([number + 1, number, once], drives.shape[1], axis=0)])
+        controls = np.concatenate([stay, *[drive_and_halt] * 3], axis=1)
+        return controls, np.minimum(ends, last)
+
+    def _moves(self, start: Situation, mean: np.ndarray, best: np.ndarray, station: int) -> np.ndarray:
+        """Plans [e, c, g, 3 s] in which one station goes another way than in the best one so far [e, g, 3 s]."""
+        stations = start.platforms.shape[1]
+        sight = line_of_sight(start.platforms[:, station : station + 1], mean)
+        ways = np.concatenate([course(start.platforms)[:, station, None], sight + _directions(self._headings)], axis=-1)
+        count = ways.shape[1]
+        plans = np.repeat(best[:, None], 2 * count + 2, axis=1)
+        plans[:, 1, :, stations + station] = -1.0
+        plans[:, 2:, :, station] = np.tile(ways, 2)[..., None]
+        plans[:, 2:, ::2, stations + station] = 1.0
+        plans[:, 2 : 2 + count, :, 2 * stations + station] = math.pi
+        plans[:, 2 + count :, :, 2 * stations + station] = TURN_WITHIN
+        return plans
+
+
+def _controls(headings: np.ndarray, speed: float, within: float) -> np.ndarray:
+    """Controls [..., 3 s] of headings [..., s] and one speed and angle for all stations."""
+    return np.concatenate([headings, np.full_like(headings, speed), np.full_like(headings, within)], axis=-1)
+
+
+def _stopped(controls: np.ndarray) -> np.ndarray:
+    """Controls [..., 3 s] with the lowest speed for all stations."""
+    return _controls(controls[..., : controls.shape[-1] // 3], -1.0, math.pi)
+
+
 def _shares(count: int) -> np.ndarray:
     """Numbers equally spaced from −1 to 1, the same to both sides; 0 only if they are odd."""
     return np.delete(np.linspace(-1.0, 1.0, count + 1), count // 2) if count % 2 == 0 else np.linspace(-1.0, 1.0, count)
@@ -116,3 +219,6 @@ GREEDY_IN_SPACE = {
 }
 """Makers (scenario, seed) for platforms in space, which look 8, 4 and 1 steps ahead; the criterion is the best of
 `agents.prediction_3d.CRITERIA_3D` in final and time-averaged position error together, on seeds from 500,000 on."""
+
+FIX_GREEDY = {"greedy": lambda scenario, seed: FixGreedy(scenario)}
+"""Maker (scenario, seed) for stations whose bearings become fixes."""

@@ -65,8 +65,8 @@ def imitate(
     for _ in range(epochs):
         for rows in torch.randperm(len(x), generator=order).split(max(BATCH // length, 1)):
             actor, values = _read(policy, x[rows])
-            commands = y[rows].flatten(0, 1)
-            loss = -actor.log_prob(commands).mean() if choices else functional.mse_loss(actor.mode(), commands)
+            taught = y[rows].flatten(0, 1)
+            loss = -actor.log_prob(taught).mean() if choices else functional.mse_loss(actor.mode(), taught)
             if critic > 0.0:
                 loss = loss + critic * functional.mse_loss(values, earned[rows].flatten()) / spread
             optimizer.zero_grad()
@@ -110,28 +110,30 @@ def _demonstrations(
         raise ValueError(f"teacher {teacher!r} looks at the truth: imitate one that decides from the belief")
     policy.reset(env.belief())
     rng = np.random.default_rng(seed)
-    observations, truths, commands, rewards = [], [], [], []
-    drift = np.zeros((episodes, env.simulation.actions.size))
+    observations, truths, actions, rewards = [], [], [], []
+    codec = env.simulation.actions
+    drift = np.zeros((episodes, codec.size))
     shaken = rng.random((episodes, 1)) < 0.5  # half the flights also drift off for longer
     for _ in range(scenario.steps):
-        command = policy.act(env.belief(), observation)
+        belief = env.belief()
+        command = policy.act(belief, observation)
         observations.append(observation)
         if truth is not None:
             truths.append(truth(env.world))
-        commands.append(command)
+        actions.append(codec.encode(command, belief))
         drift = 0.8 * drift + noise * rng.standard_normal(command.shape)
         disturbed = command + noise * rng.standard_normal(command.shape) + shaken * drift
-        observation, reward, *_ = env.step(env.simulation.actions.encode(np.clip(disturbed, -1.0, 1.0)))
+        observation, reward, *_ = env.step(codec.encode(np.clip(disturbed, -1.0, 1.0), belief))
         rewards.append(reward)
     for k in range(len(rewards) - 2, -1, -1):
         rewards[k] = rewards[k] + gamma * rewards[k + 1]
-    y, earned = np.array(commands), np.array(rewards, dtype=np.float32)
+    y, earned = np.array(actions), np.array(rewards, dtype=np.float32)
     seen = [(np.array(observations), env.simulation.observation.mirrored)]
     if truth is not None:
         seen.append((np.array(truths), truth.mirrored))
     x = np.concatenate([part for part, _ in seen], axis=-1)
     if mirror:
         x = np.concatenate([x, np.concatenate([image(part) for part, image in seen], axis=-1)], axis=1)
-        y = np.concatenate([y, env.simulation.actions.mirrored(y)], axis=1)
+        y = np.concatenate([y, codec.mirrored(y)], axis=1)
         earned = np.concatenate([earned, earned], axis=1)
-    return x, env.simulation.actions.encode(y), earned
+    return x, y, earned

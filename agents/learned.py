@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.actor import plain_actor
 from agents.algorithms import find_algorithm
+from passive_env.actions import Headings
 from passive_env.belief import Belief
 from passive_env.core import Simulation
 
@@ -29,7 +31,7 @@ class ModelPolicy:
     def __init__(self, model: BaseAlgorithm, simulation: Simulation):
         self._model = model
         self._actor = plain_actor(model)
-        self._decode = simulation.actions.decode
+        self._codec = simulation.actions
         self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
     def reset(self, belief: Belief) -> None:
@@ -43,14 +45,17 @@ class ModelPolicy:
             ValueError: a recurrent model in the middle of another number of episodes.
         """
         if self._actor is not None:
-            return self._decode(self._actor(observation), len(observation))
+            return self._commands(self._actor(observation), belief)
         if self._memory is not None and self._memory[0].shape[1] != len(observation):
             raise ValueError(
                 f"{len(observation)} observations, but {self._memory[0].shape[1]} episodes are remembered: "
                 "call reset() before other episodes"
             )
         actions, self._memory = self._model.predict(observation, self._memory, deterministic=True)
-        return self._decode(actions, len(observation))
+        return self._commands(actions, belief)
+
+    def _commands(self, actions: np.ndarray, belief: Belief) -> np.ndarray:
+        return self._codec.commands(self._codec.decode(actions, len(actions)), belief)
 
 
 class LearnedPolicy(ModelPolicy):
@@ -66,6 +71,7 @@ class LearnedPolicy(ModelPolicy):
 
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
+        simulation = _as_trained(config, simulation)
         _check_fit(Path(run), config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
         _check_spaces(Path(run) / MODEL, model, simulation)
@@ -111,9 +117,17 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
 
 
 def observation_digest(simulation: Simulation) -> str:
-    """Fingerprint of the observation's fields and the action space: a model fits only where they are the same."""
+    """Fingerprint of the observation's fields and of the actions: a model fits only where they are the same."""
     names = "|".join(f"{f.name},{f.unit},{f.scale}" for f in simulation.observation.fields)
-    return hashlib.sha256(f"{names}|{simulation.actions.space}".encode()).hexdigest()[:16]
+    meaning = "|headings" if isinstance(simulation.actions, Headings) else ""  # the space is that of rates
+    return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
+
+
+def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
+    """The parts by which a model's actions are read: one that chooses headings can fly where rates are flown."""
+    if config.get("actions") != "headings" or simulation.scenario.actions != "continuous":
+        return simulation
+    return Simulation(replace(simulation.scenario, actions="headings"))
 
 
 def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:

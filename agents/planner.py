@@ -12,15 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.greedy import Greedy, predict
+from agents.greedy import FixGreedy, Greedy, predict
 from agents.prediction import Situation
-from agents.steering import course, level_flight, towards
 from passive_env.belief import Belief
 from passive_env.core import World
 from trackers.angles import wrap
 
 NARROWEST_RAD = math.radians(3.0)
 """The search never narrows below this spread per heading."""
+
+SPEED_SPREAD, WITHIN_SPREAD = 0.5, 0.5
+"""Spread of the first round's speeds, as commands in [−1, 1], and of the angles [rad] outside which stations turn on
+the spot, about the best plan known."""
 
 
 class Plan(NamedTuple):
@@ -72,7 +75,7 @@ class Planner:
             raise ValueError(f"spread_deg = {spread_deg!r}: must lie in (0, 360]")
         self.prediction = predict(scenario, criterion, guard_m)
         self.horizon = numbers["horizon"][0]
-        self._greedy = Greedy(scenario, criterion=criterion, guard_m=guard_m)
+        self._greedy = self._make_greedy(scenario, criterion, guard_m)
         self._segments, self._elites, self._replan_steps = segments, elites, replan_steps
         self._spread = math.radians(spread_deg)
         self._shape = (iterations, samples // 2, segments)
@@ -83,10 +86,11 @@ class Planner:
 
     def reset(self, belief: Belief) -> None:
         """Forget all plans."""
-        batch, stations = belief.platforms.shape[:2]
-        half = np.random.default_rng(self._seed).standard_normal((*self._shape, stations))
+        batch = len(belief.platforms)
+        width = self.prediction.held(belief.platforms).shape[-1]
+        half = np.random.default_rng(self._seed).standard_normal((*self._shape, width))
         self._normals = np.concatenate([half, -half], axis=1)
-        self._plan = Plan(np.zeros((batch, self._segments, stations)), np.zeros((batch, self._segments), np.int64))
+        self._plan = Plan(np.zeros((batch, self._segments, width)), np.zeros((batch, self._segments), np.int64))
         self._age = np.full(batch, self._replan_steps)
         self._steps_left = np.full(batch, -1)
 
@@ -99,8 +103,7 @@ class Planner:
         if len(due):
             self._replan(belief, due, begun)
         self._steps_left = np.array(belief.steps_left)
-        turns = towards(self._heading(), belief.platforms, self.prediction.turn_per_step)
-        return level_flight(turns, belief)
+        return self.prediction.commands(self._controls(), belief)
 
     def plan(self, start: Situation, known: Plan) -> tuple[Plan, np.ndarray]:
         """The best plan found and its cost [e].
@@ -111,9 +114,10 @@ class Planner:
         """
         best, cost = self._choose(start, known)
         ends = _even_legs(start.steps, self._segments)
-        spread = np.full(best.controls.shape, self._spread)
+        widest = self._widest(best.controls.shape[-1])
+        spread = np.broadcast_to(widest, best.controls.shape)
         for normals in self._normals:
-            samples = _heading_at(best, ends)[:, None] + spread[:, None] * normals
+            samples = _controls_at(best, ends)[:, None] + spread[:, None] * normals
             costs = self.prediction.cost(start, samples, np.broadcast_to(ends[:, None], samples.shape[:-1]))
             order = np.argsort(costs, axis=1, kind="stable")[:, : self._elites]
             elite = np.take_along_axis(samples, order[..., None, None], axis=1)
@@ -122,8 +126,8 @@ class Planner:
             best = Plan(
                 np.where(better[:, None, None], elite[:, 0], best.controls), np.where(better[:, None], ends, best.ends)
             )
-            off = wrap(elite - _heading_at(best, ends)[:, None])
-            spread = np.clip(np.sqrt(np.square(off).mean(axis=1)), NARROWEST_RAD, self._spread)
+            off = wrap(elite - _controls_at(best, ends)[:, None])
+            spread = np.clip(np.sqrt(np.square(off).mean(axis=1)), NARROWEST_RAD, widest)
         return best, cost
 
     def _choose(self, start: Situation, plans: Plan) -> tuple[Plan, np.ndarray]:
@@ -149,11 +153,19 @@ class Planner:
         )
         return Plan(controls, ends)
 
+    def _make_greedy(self, scenario: Any, criterion: str | None, guard_m: float | None) -> Greedy:
+        """What finds controls to hold."""
+        return Greedy(scenario, criterion=criterion, guard_m=guard_m)
+
+    def _widest(self, width: int) -> np.ndarray:
+        """Spreads [a] of the first round."""
+        return np.full(width, self._spread)
+
     def _situation(self, belief: Belief) -> Situation:
         return self.prediction.situation(belief, self.horizon)
 
     def _replan(self, belief: Belief, due: np.ndarray, begun: np.ndarray) -> None:
-        held = course(belief.platforms)[:, None]
+        held = self.prediction.held(belief.platforms)[:, None]
         controls = np.where(begun[:, None, None], held, self._plan.controls)
         start, mean = self._situation(belief).rows(due), belief.mean[due]
         known = self.known_plans(start, mean, Plan(controls[due], self._plan.ends[due]))
@@ -162,9 +174,9 @@ class Planner:
         controls[due], ends[due], self._age[due] = best.controls, best.ends, 0
         self._plan = Plan(controls, ends)
 
-    def _heading(self) -> np.ndarray:
-        """Headings [e, s] of the present legs."""
-        return _heading_at(self._plan, np.ones((len(self._plan.ends), 1), dtype=np.int64))[:, 0]
+    def _controls(self) -> np.ndarray:
+        """Controls [e, a] of the present legs."""
+        return _controls_at(self._plan, np.ones((len(self._plan.ends), 1), dtype=np.int64))[:, 0]
 
 
 class Oracle(Planner):
@@ -193,13 +205,46 @@ class Oracle(Planner):
         return self.prediction.revealed(super()._situation(belief), self._world)
 
 
+class FixPlanner(Planner):
+    """The same search for stations that steer by turn rate and speed (`agents.greedy.FixGreedy`).
+
+    Args:
+        as of `Planner`.
+    """
+
+    _greedy: FixGreedy
+
+    def __init__(self, scenario: Any, segments: int = 4, **settings: Any):
+        super().__init__(scenario, segments=max(segments, FixGreedy(scenario).legs), **settings)
+
+    def known_plans(self, start: Situation, mean: np.ndarray, previous: Plan) -> Plan:
+        """Plans [e, 3, …] to begin with, as those of `Planner`, the greedy ones with their stops."""
+        near = start._replace(steps=np.minimum(start.steps, self._greedy.horizon))
+        plans = [previous]
+        for situation in (start, near):
+            controls, ends = self._greedy.plan(situation, mean)
+            longer = ((0, 0), (0, self._segments - ends.shape[1]))
+            plans.append(Plan(np.pad(controls, (*longer, (0, 0)), "edge"), np.pad(ends, longer, "edge")))
+        return Plan(*(np.stack(parts, axis=1) for parts in zip(*plans, strict=True)))
+
+    def _make_greedy(self, scenario: Any, criterion: str | None, guard_m: float | None) -> FixGreedy:
+        return FixGreedy(scenario, criterion=criterion, guard_m=guard_m)
+
+    def _widest(self, width: int) -> np.ndarray:
+        return np.repeat([self._spread, SPEED_SPREAD, WITHIN_SPREAD], width // 3)
+
+
+class FixOracle(Oracle, FixPlanner):
+    """`FixPlanner` on the target's true path and from the Cramér–Rao bound (`Oracle`)."""
+
+
 def _even_legs(steps: np.ndarray, segments: int) -> np.ndarray:
     """Ends [e, g] of equally long legs over steps [e], each of at least one step while steps last."""
     return np.ceil(steps[:, None] * np.arange(1, segments + 1) / segments).astype(np.int64)
 
 
-def _heading_at(plan: Plan, ends: np.ndarray) -> np.ndarray:
-    """A plan's headings [e, h, s] in the middle of the legs with the given ends [e, h]."""
+def _controls_at(plan: Plan, ends: np.ndarray) -> np.ndarray:
+    """A plan's controls [e, h, a] in the middle of the legs with the given ends [e, h]."""
     begin = np.concatenate([np.zeros_like(ends[:, :1]), ends[:, :-1]], axis=1)
     middle = (begin + np.maximum(ends - 1, begin)) // 2
     leg = (plan.ends[:, None] <= middle[..., None]).sum(axis=-1).clip(max=plan.ends.shape[1] - 1)
@@ -228,3 +273,9 @@ PLANNERS_IN_SPACE = {
     "oracle": lambda scenario, seed: Oracle(scenario, seed=seed, **IN_SPACE),
 }
 """Makers (scenario, seed)."""
+
+FIX_SEARCHES = {
+    "planner": lambda scenario, seed: FixPlanner(scenario, seed=seed),
+    "oracle": lambda scenario, seed: FixOracle(scenario, seed=seed),
+}
+"""Makers (scenario, seed) for stations whose bearings become fixes."""

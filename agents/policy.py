@@ -14,6 +14,7 @@ import numpy as np
 from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
@@ -62,16 +63,17 @@ def sees_world(policy: Any) -> bool:
 
 def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
-    from agents.fixed import PAPER, PAPER_IN_SPACE, STEADY
-    from agents.greedy import GREEDY, GREEDY_IN_SPACE
-    from agents.planner import PLANNERS, PLANNERS_IN_SPACE
-    from agents.rules import IN_SPACE, ONE_PLATFORM, TURN_APART
+    from agents.fixed import FIXED, PAPER, PAPER_IN_SPACE, STEADY
+    from agents.greedy import FIX_GREEDY, GREEDY, GREEDY_IN_SPACE
+    from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
+    from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
     searching = {**GREEDY, **PLANNERS}
     families = {
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
+        ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -16,9 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.steering import level_flight
 from passive_env.belief import Belief
 from passive_env.core import World
 from passive_env.kinematics import fly_legs
+from passive_env.steering import course, towards
 from trackers.compiled import Blocks, helper, kernel
 from trackers.linalg import cholesky_4
 from trackers.measurement import NOISE_FLOOR, slope
@@ -94,7 +96,7 @@ def _depth(dx, dy, radius):
 
 
 @helper
-def _intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_cost):
+def intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_cost):
     """Penalty per second of all platforms' places."""
     total = 0.0
     for s in range(platforms.shape[0]):
@@ -108,7 +110,7 @@ def _intrusion(platforms, targets, discs, guard, guard_cost, standoff, standoff_
 
 
 @helper
-def _predict(P, T, q):
+def predict_numbers(P, T, q):
     """`trackers.motion.predict_in_place` of a covariance given by its ten numbers, row by row."""
     p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = P
     q2 = q * q
@@ -161,7 +163,7 @@ def _half_log_det(P):
 @helper
 def _scan(P, target, platforms, T, q, var, first):
     """Covariance after a step and the bearings of platforms [s, 2] from `first` on."""
-    P = _predict(P, T, q)
+    P = predict_numbers(P, T, q)
     for s in range(first, platforms.shape[0]):
         a, b = slope(target[0], target[1], platforms[s, 0], platforms[s, 1])
         P = _condition(P, a, b, var)
@@ -217,7 +219,7 @@ def _flight_cost(platforms, paths, discs, steps, controls, ends, model, flight):
         fly_legs(platforms[s], controls[:, s], ends, steps, model[0], model[1], model[6] > 0.0, flight[:, s])
     penalty = 0.0
     for k in range(steps):
-        penalty += _intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
+        penalty += intrusion(flight[k], paths[k], discs, model[7], model[8], model[9], model[10])
     return model[0] * penalty
 
 
@@ -260,6 +262,8 @@ class Prediction:
     usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_log_std", 8e3, 12, 24
     about_course = False
     """Whether headings are tried about the present course, as far as can be reached, or all about the line of sight."""
+    stops_to_measure = False
+    """Whether platforms measure only when they are slow."""
 
     def __init__(
         self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, controls: str = "headings"
@@ -289,6 +293,14 @@ class Prediction:
         at = np.minimum(world.step[:, None] + np.arange(1, start.paths.shape[1] + 1), last)
         paths = world.tape.targets[np.arange(len(at))[:, None], at, :, : start.paths.shape[-1]]
         return start._replace(paths=paths, cov=world.bound)
+
+    def held(self, platforms: np.ndarray) -> np.ndarray:
+        """Controls [e, a] by which platforms [e, s, n] go on as they do: their headings."""
+        return course(platforms)
+
+    def commands(self, controls: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] towards the controls [e, a] of a plan's present leg."""
+        return level_flight(towards(controls, belief.platforms, self.turn_per_step), belief)
 
     def cost(self, start: Situation, controls: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Costs [e, c] in nepers of c plans for each of e environments, in one compiled call.

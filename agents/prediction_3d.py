@@ -36,17 +36,27 @@ LOGARITHM_EVERY = 8
 """Steps whose variances are multiplied before a logarithm is taken of the product."""
 
 
+ROWS = 30
+"""Rows of the working array w [30, 8], a column per lane. A covariance [[A, B], [Bᵀ, C]] of position and velocity has
+the six numbers of A row by row from row 0, the nine of B from row 6, the six of C from row 15; those of the scan's
+information M follow from row 21, sum and product of `_follow` in rows 27 and 28, the penalty in row 29."""
+
+
+@helper
+def _put(w, row, lane, x, y, z):
+    """Write three numbers of one lane below each other."""
+    w[row, lane], w[row + 1, lane], w[row + 2, lane] = x, y, z
+
+
 @helper
 def _start(P, w):
     """All lanes begin with the covariance P [6, 6]."""
     for lane in range(8):
-        w[0, lane], w[1, lane], w[2, lane] = P[0, 0], P[0, 1], P[0, 2]
-        w[3, lane], w[4, lane], w[5, lane] = P[1, 1], P[1, 2], P[2, 2]
-        w[6, lane], w[7, lane], w[8, lane] = P[0, 3], P[0, 4], P[0, 5]
-        w[9, lane], w[10, lane], w[11, lane] = P[1, 3], P[1, 4], P[1, 5]
-        w[12, lane], w[13, lane], w[14, lane] = P[2, 3], P[2, 4], P[2, 5]
-        w[15, lane], w[16, lane], w[17, lane] = P[3, 3], P[3, 4], P[3, 5]
-        w[18, lane], w[19, lane], w[20, lane] = P[4, 4], P[4, 5], P[5, 5]
+        for row, block in ((0, P[:3, :3]), (15, P[3:, 3:])):
+            _put(w, row, lane, block[0, 0], block[0, 1], block[0, 2])
+            _put(w, row + 3, lane, block[1, 1], block[1, 2], block[2, 2])
+        for r in range(3):
+            _put(w, 6 + 3 * r, lane, P[r, 3], P[r, 4], P[r, 5])
 
 
 @helper
@@ -68,86 +78,89 @@ def _look(flight, altitude, target, azimuth_weight, elevation_weight, w):
 
 
 @helper
+def _three(w, row, lane):
+    """Three numbers of one lane below each other."""
+    return w[row, lane], w[row + 1, lane], w[row + 2, lane]
+
+
+@helper
+def _symmetric(w, row, lane):
+    """Six numbers of a symmetric 3×3 matrix of one lane, row by row."""
+    return _three(w, row, lane) + _three(w, row + 3, lane)
+
+
+@helper
+def _predict(A, B, C, T, q2):
+    """Blocks of Φ P Φᵀ + Q for P = [[A, B], [Bᵀ, C]]; A and C of six numbers, B of nine."""
+    a00, a01, a02, a11, a12, a22 = A
+    b00, b01, b02, b10, b11, b12, b20, b21, b22 = B
+    c00, c01, c02, c11, c12, c22 = C
+    quarter, half, whole = 0.25 * T * T * T * T * q2, 0.5 * T * T * T * q2, T * T * q2
+    A = (
+        a00 + T * (2.0 * b00 + T * c00) + quarter, a01 + T * (b01 + b10 + T * c01), a02 + T * (b02 + b20 + T * c02),
+        a11 + T * (2.0 * b11 + T * c11) + quarter, a12 + T * (b12 + b21 + T * c12),
+        a22 + T * (2.0 * b22 + T * c22) + quarter,
+    )  # fmt: skip
+    B = (
+        b00 + T * c00 + half, b01 + T * c01, b02 + T * c02,
+        b10 + T * c01, b11 + T * c11 + half, b12 + T * c12,
+        b20 + T * c02, b21 + T * c12, b22 + T * c22 + half,
+    )  # fmt: skip
+    return A, B, (c00 + whole, c01, c02, c11 + whole, c12, c22 + whole)
+
+
+@helper
+def _rows(A):
+    """Rows (or columns) of a symmetric 3×3 matrix of six numbers."""
+    a00, a01, a02, a11, a12, a22 = A
+    return (a00, a01, a02), (a01, a11, a12), (a02, a12, a22)
+
+
+@helper
+def _dot(u, v):
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+@helper
+def _times(u, rows):
+    """A row of three numbers times a symmetric matrix."""
+    return _dot(u, rows[0]), _dot(u, rows[1]), _dot(u, rows[2])
+
+
+@helper
+def _scan_weight(a, m):
+    """Rows of W = (I + M A)⁻¹ M from rows of the symmetric A and M."""
+    g00, g01, g02 = 1.0 + _dot(m[0], a[0]), _dot(m[0], a[1]), _dot(m[0], a[2])
+    g10, g11, g12 = _dot(m[1], a[0]), 1.0 + _dot(m[1], a[1]), _dot(m[1], a[2])
+    g20, g21, g22 = _dot(m[2], a[0]), _dot(m[2], a[1]), 1.0 + _dot(m[2], a[2])
+    k0 = g11 * g22 - g12 * g21, g02 * g21 - g01 * g22, g01 * g12 - g02 * g11
+    k1 = g12 * g20 - g10 * g22, g00 * g22 - g02 * g20, g02 * g10 - g00 * g12
+    k2 = g10 * g21 - g11 * g20, g01 * g20 - g00 * g21, g00 * g11 - g01 * g10
+    d = 1.0 / _dot((g00, g01, g02), (k0[0], k1[0], k2[0]))
+    return _rows((
+        d * _dot(k0, m[0]), d * _dot(k0, m[1]), d * _dot(k0, m[2]),
+        d * _dot(k1, m[1]), d * _dot(k1, m[2]), d * _dot(k2, m[2]),
+    ))  # fmt: skip
+
+
+@helper
 def _step(w, T, q2):
-    """Prediction and scan of all lanes."""
-    half, quarter = 0.5 * T * T * T * q2, 0.25 * T * T * T * T * q2
+    """Prediction and scan of all lanes: A − A W A, B − A W B, C − Bᵀ W B."""
     for lane in range(8):
-        c00, c01, c02, c11, c12, c22 = w[15, lane], w[16, lane], w[17, lane], w[18, lane], w[19, lane], w[20, lane]
-        b00, b01, b02 = w[6, lane], w[7, lane], w[8, lane]
-        b10, b11, b12 = w[9, lane], w[10, lane], w[11, lane]
-        b20, b21, b22 = w[12, lane], w[13, lane], w[14, lane]
-        a00 = w[0, lane] + T * (2.0 * b00 + T * c00) + quarter
-        a01 = w[1, lane] + T * (b01 + b10 + T * c01)
-        a02 = w[2, lane] + T * (b02 + b20 + T * c02)
-        a11 = w[3, lane] + T * (2.0 * b11 + T * c11) + quarter
-        a12 = w[4, lane] + T * (b12 + b21 + T * c12)
-        a22 = w[5, lane] + T * (2.0 * b22 + T * c22) + quarter
-        b00, b01, b02 = b00 + T * c00 + half, b01 + T * c01, b02 + T * c02
-        b10, b11, b12 = b10 + T * c01, b11 + T * c11 + half, b12 + T * c12
-        b20, b21, b22 = b20 + T * c02, b21 + T * c12, b22 + T * c22 + half
-        c00, c11, c22 = c00 + T * T * q2, c11 + T * T * q2, c22 + T * T * q2
-        m00, m01, m02, m11, m12, m22 = w[21, lane], w[22, lane], w[23, lane], w[24, lane], w[25, lane], w[26, lane]
-        # G = I + M A
-        g00 = 1.0 + m00 * a00 + m01 * a01 + m02 * a02
-        g01 = m00 * a01 + m01 * a11 + m02 * a12
-        g02 = m00 * a02 + m01 * a12 + m02 * a22
-        g10 = m01 * a00 + m11 * a01 + m12 * a02
-        g11 = 1.0 + m01 * a01 + m11 * a11 + m12 * a12
-        g12 = m01 * a02 + m11 * a12 + m12 * a22
-        g20 = m02 * a00 + m12 * a01 + m22 * a02
-        g21 = m02 * a01 + m12 * a11 + m22 * a12
-        g22 = 1.0 + m02 * a02 + m12 * a12 + m22 * a22
-        k00, k01, k02 = g11 * g22 - g12 * g21, g02 * g21 - g01 * g22, g01 * g12 - g02 * g11
-        k10, k11, k12 = g12 * g20 - g10 * g22, g00 * g22 - g02 * g20, g02 * g10 - g00 * g12
-        k20, k21, k22 = g10 * g21 - g11 * g20, g01 * g20 - g00 * g21, g00 * g11 - g01 * g10
-        d = 1.0 / (g00 * k00 + g01 * k10 + g02 * k20)
-        # W = G⁻¹ M
-        w00 = d * (k00 * m00 + k01 * m01 + k02 * m02)
-        w01 = d * (k00 * m01 + k01 * m11 + k02 * m12)
-        w02 = d * (k00 * m02 + k01 * m12 + k02 * m22)
-        w11 = d * (k10 * m01 + k11 * m11 + k12 * m12)
-        w12 = d * (k10 * m02 + k11 * m12 + k12 * m22)
-        w22 = d * (k20 * m02 + k21 * m12 + k22 * m22)
-        # A W and Bᵀ W
-        u00, u01, u02 = (
-            a00 * w00 + a01 * w01 + a02 * w02, a00 * w01 + a01 * w11 + a02 * w12, a00 * w02 + a01 * w12 + a02 * w22,
-        )  # fmt: skip
-        u10, u11, u12 = (
-            a01 * w00 + a11 * w01 + a12 * w02, a01 * w01 + a11 * w11 + a12 * w12, a01 * w02 + a11 * w12 + a12 * w22,
-        )  # fmt: skip
-        u20, u21, u22 = (
-            a02 * w00 + a12 * w01 + a22 * w02, a02 * w01 + a12 * w11 + a22 * w12, a02 * w02 + a12 * w12 + a22 * w22,
-        )  # fmt: skip
-        v00, v01, v02 = (
-            b00 * w00 + b10 * w01 + b20 * w02, b00 * w01 + b10 * w11 + b20 * w12, b00 * w02 + b10 * w12 + b20 * w22,
-        )  # fmt: skip
-        v10, v11, v12 = (
-            b01 * w00 + b11 * w01 + b21 * w02, b01 * w01 + b11 * w11 + b21 * w12, b01 * w02 + b11 * w12 + b21 * w22,
-        )  # fmt: skip
-        v20, v21, v22 = (
-            b02 * w00 + b12 * w01 + b22 * w02, b02 * w01 + b12 * w11 + b22 * w12, b02 * w02 + b12 * w12 + b22 * w22,
-        )  # fmt: skip
-        w[15, lane] = c00 - v00 * b00 - v01 * b10 - v02 * b20
-        w[16, lane] = c01 - v00 * b01 - v01 * b11 - v02 * b21
-        w[17, lane] = c02 - v00 * b02 - v01 * b12 - v02 * b22
-        w[18, lane] = c11 - v10 * b01 - v11 * b11 - v12 * b21
-        w[19, lane] = c12 - v10 * b02 - v11 * b12 - v12 * b22
-        w[20, lane] = c22 - v20 * b02 - v21 * b12 - v22 * b22
-        w[6, lane] = b00 - u00 * b00 - u01 * b10 - u02 * b20
-        w[7, lane] = b01 - u00 * b01 - u01 * b11 - u02 * b21
-        w[8, lane] = b02 - u00 * b02 - u01 * b12 - u02 * b22
-        w[9, lane] = b10 - u10 * b00 - u11 * b10 - u12 * b20
-        w[10, lane] = b11 - u10 * b01 - u11 * b11 - u12 * b21
-        w[11, lane] = b12 - u10 * b02 - u11 * b12 - u12 * b22
-        w[12, lane] = b20 - u20 * b00 - u21 * b10 - u22 * b20
-        w[13, lane] = b21 - u20 * b01 - u21 * b11 - u22 * b21
-        w[14, lane] = b22 - u20 * b02 - u21 * b12 - u22 * b22
-        w[0, lane] = a00 - u00 * a00 - u01 * a01 - u02 * a02
-        w[1, lane] = a01 - u00 * a01 - u01 * a11 - u02 * a12
-        w[2, lane] = a02 - u00 * a02 - u01 * a12 - u02 * a22
-        w[3, lane] = a11 - u10 * a01 - u11 * a11 - u12 * a12
-        w[4, lane] = a12 - u10 * a02 - u11 * a12 - u12 * a22
-        w[5, lane] = a22 - u20 * a02 - u21 * a12 - u22 * a22
+        B = _three(w, 6, lane) + _three(w, 9, lane) + _three(w, 12, lane)
+        A, B, C = _predict(_symmetric(w, 0, lane), B, _symmetric(w, 15, lane), T, q2)
+        b00, b01, b02, b10, b11, b12, b20, b21, b22 = B
+        (a0, a1, a2), b0, b1, b2 = _rows(A), (b00, b10, b20), (b01, b11, b21), (b02, b12, b22)
+        W = _scan_weight((a0, a1, a2), _rows(_symmetric(w, 21, lane)))
+        u0, u1, u2 = _times(a0, W), _times(a1, W), _times(a2, W)
+        v0, v1, v2 = _times(b0, W), _times(b1, W), _times(b2, W)
+        _put(w, 0, lane, A[0] - _dot(u0, a0), A[1] - _dot(u0, a1), A[2] - _dot(u0, a2))
+        _put(w, 3, lane, A[3] - _dot(u1, a1), A[4] - _dot(u1, a2), A[5] - _dot(u2, a2))
+        _put(w, 6, lane, b00 - _dot(u0, b0), b01 - _dot(u0, b1), b02 - _dot(u0, b2))
+        _put(w, 9, lane, b10 - _dot(u1, b0), b11 - _dot(u1, b1), b12 - _dot(u1, b2))
+        _put(w, 12, lane, b20 - _dot(u2, b0), b21 - _dot(u2, b1), b22 - _dot(u2, b2))
+        _put(w, 15, lane, C[0] - _dot(v0, b0), C[1] - _dot(v0, b1), C[2] - _dot(v0, b2))
+        _put(w, 18, lane, C[3] - _dot(v1, b1), C[4] - _dot(v1, b2), C[5] - _dot(v2, b2))
 
 
 @helper
@@ -258,7 +271,7 @@ def _follow(cov, path, platforms, share, steps, model, flights, w):
 def _plan_costs_3d(platforms, paths, cov, discs, steps, share, controls, ends, model, flights, cost):
     """Costs of c plans, eight at a time. `flights` [k, s, 2, 8] is scratch, shared by all items of a call."""
     criterion = int(model[5])
-    w, full, figures = np.empty((30, 8)), np.empty((6, 6)), np.empty(8)
+    w, full, figures = np.empty((ROWS, 8)), np.empty((6, 6)), np.empty(8)
     for first in range(0, cost.shape[0], 8):
         _fly_lanes(platforms, controls, ends, first, steps, model, flights)
         for lane in range(8):

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.steering import course, level_flight, line_of_sight, towards
+from agents.steering import level_flight
 from passive_env.belief import Belief
+from passive_env.steering import course, line_of_sight, outward, towards
 from trackers.angles import wrap
 
 
@@ -44,7 +45,7 @@ class TurnApart:
 
     def _aim(self, belief: Belief) -> np.ndarray:
         """Courses [e, 2] rad."""
-        off = np.where(sides(belief) > 0.0, self._left, -self._right)
+        off = np.where(outward(belief.platforms, belief.mean) > 0.0, self._left, -self._right)
         return middle_sight(belief)[:, None] + off
 
 
@@ -69,7 +70,7 @@ class Split:
         """Choose both courses from the first belief."""
         before = course(belief.platforms)
         ahead = np.where(np.cos(before - middle_sight(belief)[:, None]) >= 0.0, 1.0, -1.0)
-        self._course = before + sides(belief) * ahead * self._angle
+        self._course = before + outward(belief.platforms, belief.mean) * ahead * self._angle
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the course at the limit, then hold it."""
@@ -106,30 +107,96 @@ class HoldOffSight:
 
     def reset(self, belief: Belief) -> None:
         """Choose the sides."""
-        self._sides = sides(belief)
+        self._sides = outward(belief.platforms, belief.mean)
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the angle of the moment off the line of sight of the moment."""
         if self._exchange:
-            self._sides = sides(belief)
+            self._sides = outward(belief.platforms, belief.mean)
         early = self._steps - belief.steps_left < self._scans
         angle = np.where(early, *self._angles)[:, None]
         headings = line_of_sight(belief.platforms, belief.mean) + self._sides * angle
         return level_flight(towards(headings, belief.platforms, self._step), belief)
 
 
+class OpenBaseline:
+    """Stations go off their lines of sight to both sides at full speed, and bend forward as the sights cross.
+
+    Looking along the mean line of sight the left half of them goes left, the right half right, a middle one to the side
+    it heads for. The angle falls from `wide_deg` where lines of sight are parallel to `narrow_deg` where any two of
+    them cross at `crossing_deg` or more.
+
+    Args:
+        scenario: supplies step, number of steps and turn rate limit.
+        wide_deg: off the line of sight, 0 to 180.
+        narrow_deg: the same, never bent forward if it equals `wide_deg`; None for that.
+        crossing_deg: above 0, at most 180.
+        within_deg: a station whose course is farther from where it should head than this turns at its lowest speed, on
+            the spot if that is 0; 180 never waits.
+        halt_every: all stations halt on every so-manieth step, to measure; None for never.
+    Raises:
+        ValueError: an angle or a number of steps outside its range.
+    """
+
+    def __init__(
+        self, scenario: Any, wide_deg: float, narrow_deg: float | None = None, crossing_deg: float = 90.0,
+        within_deg: float = 90.0, halt_every: int | None = None,
+    ):  # fmt: skip
+        narrow_deg = wide_deg if narrow_deg is None else narrow_deg
+        for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg), ("within_deg", within_deg)):
+            if not 0.0 <= angle <= 180.0:
+                raise ValueError(f"{name} = {angle!r}: must lie in [0, 180]")
+        if not 0.0 < crossing_deg <= 180.0:
+            raise ValueError(f"crossing_deg = {crossing_deg!r}: must lie in (0, 180]")
+        if halt_every is not None and halt_every < 1:
+            raise ValueError(f"halt_every = {halt_every!r}: must be at least 1, or None")
+        angles = np.radians([wide_deg, narrow_deg, crossing_deg, within_deg])
+        self._wide, self._narrow, self._crossing, self._within = angles
+        self._steps, self._halt_every = scenario.steps, halt_every
+        self._turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+
+    def reset(self, belief: Belief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+        """Turn towards the angle of the moment at the limit; full speed until the stations stop."""
+        sight = line_of_sight(belief.platforms, belief.mean)
+        bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
+        angle = self._wide + (self._narrow - self._wide) * bent
+        headings = sight + _outward(belief) * angle[:, None]
+        near = np.abs(wrap(headings - course(belief.platforms))) <= self._within
+        driving = near & ~self._halts(belief)[:, None]
+        turns = towards(headings, belief.platforms, self._turn_per_step)
+        return np.concatenate([turns, np.where(driving, 1.0, -1.0)], axis=-1)
+
+    def _halts(self, belief: Belief) -> np.ndarray:
+        """[e] whether this is a step on which all halt."""
+        number = self._steps - belief.steps_left + 1
+        return np.zeros(len(number), dtype=bool) if self._halt_every is None else number % self._halt_every == 0
+
+
+def _outward(belief: Belief) -> np.ndarray:
+    """Sides [e, s] of stations across the mean line of sight: +1 for the left half, −1 for the right half.
+
+    A station in the middle of an odd number goes to the side of its own line of sight that its course is on.
+    """
+    sight, places = middle_sight(belief)[:, None], belief.platforms[..., :2]
+    across = np.cos(sight) * places[..., 1] - np.sin(sight) * places[..., 0]
+    ranks = np.argsort(np.argsort(-across, axis=1, kind="stable"), axis=1)
+    fan = np.sign(places.shape[1] - 1 - 2 * ranks)
+    off = wrap(course(belief.platforms) - line_of_sight(belief.platforms, belief.mean))
+    return np.where(fan == 0, np.where(off >= 0.0, 1.0, -1.0), fan)
+
+
+def _widest_crossing(sight: np.ndarray) -> np.ndarray:
+    """The largest angle [e] rad between any two of the directions [e, s] rad."""
+    return np.abs(wrap(sight[:, :, None] - sight[:, None])).max(axis=(1, 2))
+
+
 def middle_sight(belief: Belief) -> np.ndarray:
-    """Direction [e] rad from two platforms' midpoint to the middle of the tracks."""
+    """Direction [e] rad from the platforms' midpoint to the middle of the tracks."""
     to_tracks = belief.mean[..., :2].mean(axis=1) - belief.platforms[..., :2].mean(axis=1)
     return np.arctan2(to_tracks[:, 1], to_tracks[:, 0])
-
-
-def sides(belief: Belief) -> np.ndarray:
-    """+1 for that one of two platforms which is left of the other along the line of sight, −1 for the other: [e, 2]."""
-    sight = middle_sight(belief)
-    apart = belief.platforms[:, 0, :2] - belief.platforms[:, 1, :2]
-    first_is_left = np.cos(sight) * apart[:, 1] - np.sin(sight) * apart[:, 0] > 0.0
-    return np.where(first_is_left[:, None], (1.0, -1.0), (-1.0, 1.0))
 
 
 class Zigzag:
@@ -272,3 +339,17 @@ IN_SPACE = {
 }
 """Makers (scenario, seed) for two platforms in space. `rule` is the strongest found, `rule_60` holds the one angle that
 is best in the final error where platforms turn fast."""
+
+FULL_SPEED, BEST_OPENING = (80.0, 80.0, 90.0, 180.0), (85.0, 20.0, 70.0, 90.0)
+"""Angles of `OpenBaseline`, in its order."""
+
+
+def _opening(angles: tuple[float, ...]) -> Any:
+    """A maker (scenario, seed); stations that measure only when slow halt on every other step."""
+    return lambda scenario, seed: OpenBaseline(
+        scenario, *angles, halt_every=2 if scenario.carrier == "ground" else None
+    )
+
+
+OPEN_BASELINE = {"open": _opening(FULL_SPEED), "rule": _opening(BEST_OPENING)}
+"""Makers (scenario, seed) for stations whose bearings become position fixes."""

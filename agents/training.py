@@ -12,6 +12,7 @@ import platform
 import random
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -70,7 +71,7 @@ class Run:
     preset: dict[str, Any]
 
     def __post_init__(self) -> None:
-        refusal = find_algorithm(self.algo).refusal(self.preset, self.scenario.actions)
+        refusal = find_algorithm(self.algo).refusal(self.preset, self.training_scenario.actions)
         if refusal is not None:
             raise ValueError(f"--algo {self.algo} {refusal}")
 
@@ -93,7 +94,8 @@ class Run:
         """What is saved beside the model."""
         return {
             "environment": environment_id(self.scenario_name),
-            "observation_digest": observation_digest(Simulation(self.scenario)),
+            "observation_digest": observation_digest(Simulation(self.training_scenario)),
+            "actions": self.training_scenario.actions,
             "algo": self.algo,
             "seed": self.seed,
             "device": self.device,
@@ -230,7 +232,10 @@ class Checkpoints(BaseCallback):
                 record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
                 self._references[name] = float(record.final.mean())
         record = fly(
-            scenario, ModelPolicy(_flown(self.model), Simulation(scenario)), EVALUATION_EPISODES, EVALUATION_SEED
+            scenario,
+            ModelPolicy(_flown(self.model), Simulation(self._run.training_scenario)),
+            EVALUATION_EPISODES,
+            EVALUATION_SEED,
         )
         error = float(record.final.mean())
         self.logger.record(f"eval/final_{scenario.score}_error_m", error)
@@ -274,9 +279,25 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
     quicken(model.policy)
+    if "first_action" in preset:
+        begin_with(model, preset["first_action"])
     if "imitation" in preset:
         imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
     return model
+
+
+def begin_with(model: BaseAlgorithm, action: Sequence[float]) -> None:
+    """Let an untrained actor's mean action be this one, whatever it sees: a rule to start from.
+
+    Raises:
+        ValueError: a number of values that the action space does not have.
+    """
+    policy: Any = model.policy
+    bias = policy.action_net.bias
+    if tuple(bias.shape) != (len(action),):
+        raise ValueError(f"first_action has {len(action)} values, must have {len(bias)}, one per number of an action")
+    with torch.no_grad():
+        bias.copy_(torch.as_tensor(action))
 
 
 class LinearDecay:

@@ -1,12 +1,21 @@
-"""What the agent does: spaces of actions and their meaning."""
+"""What the agent does: spaces of actions and their meaning.
+
+A codec checks actions (`decode`), turns them into commands, the shares of rates that platforms fly by (`commands`), and
+finds the actions that give the commands of a rule (`encode`).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+
+from passive_env.belief import Belief
+from passive_env.steering import course, line_of_sight, outward, towards
+from trackers.angles import wrap
 
 
 class Continuous:
@@ -19,7 +28,7 @@ class Continuous:
 
     def __init__(self, size: int, odd: Sequence[bool] | None = None):
         self.size = size
-        self._mirror_sign = _mirror_sign(size, odd)
+        self._odd = np.array([True] * size if odd is None else odd)
         self.space = spaces.Box(-1.0, 1.0, (size,), np.float32)
 
     def decode(self, action: Any, batch: int | None) -> np.ndarray:
@@ -31,13 +40,55 @@ class Continuous:
         values = _numbers(action, (self.size,) if batch is None else (batch, self.size))
         return np.minimum(np.maximum(values, -1.0), 1.0)
 
-    def encode(self, commands: np.ndarray) -> np.ndarray:
-        """Actions [e, a] that `decode` turns into the commands [e, a]."""
+    def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a]: the same."""
+        return values
+
+    def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
+        """Actions [e, a] that mean the commands [e, a]."""
         return commands.astype(np.float32)
 
-    def mirrored(self, commands: np.ndarray) -> np.ndarray:
-        """Commands [..., a] that do in the mirrored world what these do here."""
-        return self._mirror_sign * commands
+    def mirrored(self, actions: np.ndarray) -> np.ndarray:
+        """Actions [..., a] that do in the mirrored world what these do here."""
+        return np.where(self._odd, -actions, actions)
+
+
+class Headings(Continuous):
+    """A Box in [−1, 1] of headings to turn to, as shares of 180° off a platform's own line of sight, then any climbs.
+
+    Positive is outwards: the platform that is left of the others, looking along the mean line of sight, turns to the
+    left of its own. Platforms turn as fast as they can until they fly on the heading. What is constant here opens the
+    baseline and keeps it open; exploring about it moves platforms where shares of turn rates would average out.
+
+    Args:
+        size, odd: as of `Continuous`; the first `platforms` numbers are headings.
+        platforms: how many turn.
+        turn_per_step: largest turn in a step [rad].
+    """
+
+    def __init__(self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None):
+        super().__init__(size, odd)
+        self._platforms, self._turn_per_step = platforms, turn_per_step
+
+    def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
+        n = self._platforms
+        off = math.pi * outward(belief.platforms, belief.mean) * values[:, :n]
+        aim = line_of_sight(belief.platforms, belief.mean) + off
+        return np.concatenate([towards(aim, belief.platforms, self._turn_per_step), values[:, n:]], axis=1)
+
+    def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
+        """Actions [e, a] that mean the commands [e, a] to a belief, which is needed."""
+        if belief is None:
+            raise TypeError("encode(commands, belief): headings off a line of sight need the belief")
+        n = self._platforms
+        aim = course(belief.platforms) + self._turn_per_step * commands[:, :n]
+        off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
+        return np.concatenate([off / math.pi, commands[:, n:]], axis=1).astype(np.float32)
+
+    def mirrored(self, actions: np.ndarray) -> np.ndarray:
+        """Actions [..., a] that do in the mirrored world what these do here: outwards stays outwards."""
+        return actions
 
 
 class Discrete:
@@ -50,7 +101,7 @@ class Discrete:
 
     def __init__(self, size: int, levels: int = 3, odd: Sequence[bool] | None = None):
         self.size = size
-        self._mirror_sign = _mirror_sign(size, odd)
+        self._odd = np.array([True] * size if odd is None else odd)
         self.levels = levels
         self.space = spaces.MultiDiscrete([levels] * size)
 
@@ -65,17 +116,17 @@ class Discrete:
             raise ValueError(f"action {action!r}: choices must be integers from 0 to {self.levels - 1}")
         return 2.0 * values / (self.levels - 1) - 1.0
 
-    def encode(self, commands: np.ndarray) -> np.ndarray:
+    def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a]: the same."""
+        return values
+
+    def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
         """The choices [e, a] nearest to commands [e, a]."""
         return np.rint(0.5 * (np.clip(commands, -1.0, 1.0) + 1.0) * (self.levels - 1)).astype(np.int64)
 
-    def mirrored(self, commands: np.ndarray) -> np.ndarray:
-        """Commands [..., a] that do in the mirrored world what these do here."""
-        return self._mirror_sign * commands
-
-
-def _mirror_sign(size: int, odd: Sequence[bool] | None) -> np.ndarray:
-    return np.where([True] * size if odd is None else odd, -1.0, 1.0)
+    def mirrored(self, actions: np.ndarray) -> np.ndarray:
+        """Choices [..., a] that do in the mirrored world what these do here."""
+        return np.where(self._odd, self.levels - 1 - actions, actions)
 
 
 def _numbers(action: Any, shape: tuple[int, ...]) -> np.ndarray:

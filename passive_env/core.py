@@ -90,6 +90,10 @@ class Simulation:
         reward, terms = evaluate(self.scenario.reward_weights, moment)
         return new, reward, terms
 
+    def command(self, world: World, values: Any) -> Any:
+        """Commands [e, a] of decoded actions [e, a], by what is known of a world."""
+        return self.actions.commands(values, self.belief(world))
+
     def belief(self, world: World) -> Belief:
         """What an operator knows of the world."""
         told = world.reports

@@ -88,10 +88,10 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
             gymnasium.error.ResetNeeded: before the first reset or after the episode's end.
         """
         world = self.world
-        command = self.simulation.actions.decode(action, None)
+        values = self.simulation.actions.decode(action, None)
         if world.step[0] >= self.scenario.steps:
             raise gym.error.ResetNeeded("the episode is over: call reset() before the next step()")
-        self._world, reward, terms = self.simulation.advance(world, command)
+        self._world, reward, terms = self.simulation.advance(world, self.simulation.command(world, values))
         truncated = bool(self._world.step[0] >= self.scenario.steps)
         if self.render_mode == "human":
             self.render()

@@ -94,7 +94,7 @@ def drive(states, turn_rate, speed, step_s):
 
 
 @helper
-def _turned_by(turned, T):
+def turned_by(turned, T):
     """Cosine and sine of a turn by `turned` rad in T seconds, and the arc's reach along and across the start course
     [s], to be multiplied by the speed (as `arc`)."""
     c, s = math.cos(turned), math.sin(turned)
@@ -113,7 +113,7 @@ def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
     """
     x, y, vx, vy = level[0], level[1], level[2], level[3]
     heading, leg = math.atan2(vy, vx), 0
-    straight, hardest = _turned_by(0.0, T), _turned_by(limit, T)
+    straight, hardest = turned_by(0.0, T), turned_by(limit, T)
     for k in range(steps):
         while leg < ends.shape[0] - 1 and k >= ends[leg]:
             leg += 1
@@ -123,7 +123,7 @@ def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
         if abs(turned) <= 1e-9:
             c, s, along, across = straight
         elif abs(turned) < limit:
-            c, s, along, across = _turned_by(turned, T)
+            c, s, along, across = turned_by(turned, T)
         else:
             c, s, along, across = hardest
             if turned < 0.0:

@@ -115,13 +115,13 @@ class PassiveVectorEnv(VectorEnv):
             ValueError: actions of the wrong shape or with values that are not finite.
             gymnasium.error.ResetNeeded: before the first reset, or (mode DISABLED) when an episode is over.
         """
-        commands = self.simulation.actions.decode(actions, self.num_envs)
+        values = self.simulation.actions.decode(actions, self.num_envs)
         if self._worlds is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
             raise gym.error.ResetNeeded("some episodes are over: reset them with options={'reset_mask': …}")
         fresh = self._done.copy() if self.autoreset_mode == AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, bool)
-        reward, terms = self._advance(commands, fresh)
+        reward, terms = self._advance(values, fresh)
         truncated = np.concatenate([self.simulation.finished(world) for world in self._worlds])
         self._done = truncated.copy()
         observation, info = self._observe(), self._info(terms)
@@ -192,7 +192,7 @@ class PassiveVectorEnv(VectorEnv):
         self._worlds = self.blocks.map(restart, self.blocks.slices, worlds)
         self._views = self.blocks.map(self.simulation.observe, self._worlds)
 
-    def _advance(self, commands: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _advance(self, values: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Step every block; rows of finished episodes begin anew instead (reward 0, action ignored)."""
         assert self._worlds is not None
         terms = {name: np.zeros(self.num_envs) for name in self.scenario.reward_weights}
@@ -201,7 +201,8 @@ class PassiveVectorEnv(VectorEnv):
 
             def advance(rows: slice, world: World) -> tuple[World, Any, dict[str, Any], np.ndarray]:
                 held = _hold(world, fresh[rows], self.scenario.steps)
-                new, earned, parts = self.simulation.advance(held, commands[rows])
+                command = self.simulation.command(held, values[rows])
+                new, earned, parts = self.simulation.advance(held, command)
                 return new, earned, parts, self.simulation.observe(new)  # observed here: one wait for all blocks a step
 
             steps = self.blocks.map(advance, self.blocks.slices, self._worlds)

@@ -16,6 +16,8 @@ from agents.reproduction.angle_fusion.claims import (
     BOUND_ONE_PLATFORM_M,
     EKF_M,
     EKF_RUNS,
+    FIXED_RUNS,
+    FIXED_SHARES,
     LINEAR_M,
     ONE_PLATFORM_SHARE,
     ROWS,
@@ -115,6 +117,64 @@ def test_ekf_without_clutter(records):
     np.testing.assert_array_less(np.abs(np.log(rmse[late] / linear_range_error()[late])), ours)
 
 
+def dense_directions(x, places):
+    """Azimuths and elevations [r, 2, 2] of positions [r, 3] from both platforms [2, 3], and their slopes [r, 4, 3]."""
+    d = x[:, None] - places
+    level, r = np.linalg.norm(d[..., :2], axis=-1), np.linalg.norm(d, axis=-1)
+    azimuth = np.stack([-d[..., 1] / level**2, d[..., 0] / level**2, 0.0 * r], axis=-1)
+    up = np.array([0.0, 0.0, 1.0]) - d * d[..., 2:] / r[..., None] ** 2  # ∂(dz/r)/∂x times r
+    elevation = up / level[..., None]
+    angles = np.stack([np.arctan2(d[..., 1], d[..., 0]), np.arcsin(d[..., 2] / r)], axis=-1)
+    return angles, np.stack([azimuth, elevation], axis=-2).reshape(len(x), 4, 3)
+
+
+def dense_range_errors(errors):
+    """Range errors [r, k] m of an EKF written with dense matrices, nothing of it shared with the code under test."""
+    runs, T = len(errors), 2.0
+    F, G = np.eye(6) + np.eye(6, k=3) * T, np.vstack([np.eye(3) * T**2 / 2, np.eye(3) * T])
+    x, P, found = np.tile([30e3, -3e3, 8e3], (runs, 1)), np.zeros((runs, 6, 6)), []
+    for k in range(41):
+        t, turned = 2.0 * k, 150.0 * max(2.0 * k - 40.0, 0.0)
+        east, north = 150.0 * min(t, 40.0) + turned * math.cos(math.pi / 4), turned * math.sin(math.pi / 4)
+        places = np.array([[east, north, 6e3], [150.0 * t, -6e3, 6e3]])
+        target = np.array([30e3 - 150.0 * t, -3e3, 8e3])
+        z = dense_directions(target[None], places)[0] + errors[:, k]
+        if k == 0:
+            for _ in range(30):
+                h, H = dense_directions(x, places)
+                x = x + np.einsum("rij,rj->ri", np.linalg.pinv(H), (z - h).reshape(runs, 4))
+            H = dense_directions(x, places)[1]
+            P[:, :3, :3] = math.radians(0.5) ** 2 * np.linalg.inv(H.swapaxes(1, 2) @ H)
+            P[:, 3:, 3:] = np.diag([200.0**2, 200.0**2, 50.0**2])
+            x = np.concatenate([x, np.zeros((runs, 3))], axis=1)
+            continue
+        x, P = x @ F.T, F @ P @ F.T + 900.0 * G @ G.T
+        h, slopes = dense_directions(x[:, :3], places)
+        H = np.concatenate([slopes, np.zeros((runs, 4, 3))], axis=-1)
+        K = P @ H.swapaxes(1, 2) @ np.linalg.inv(H @ P @ H.swapaxes(1, 2) + math.radians(0.5) ** 2 * np.eye(4))
+        x, P = x + np.einsum("rij,rj->ri", K, (z - h).reshape(runs, 4)), P - K @ H @ P
+        found.append(np.linalg.norm(x[:, :3] - places[0], axis=1) - np.linalg.norm(target - places[0]))
+    return np.array(found).T
+
+
+def test_a_filter_written_anew_makes_the_same_errors(records):
+    """Run by run within half a metre, where Gauss–Newton stops; in 5,000 runs a mean of 480 m within 1 %, as specified.
+
+    The specification's entries of scans 20 and 30 (462 and 208 m, 500 runs) are too large by 1.9 and 2.8 of their
+    standard errors.
+    """
+    ours = records["ekf"].range_error
+    np.testing.assert_allclose(dense_range_errors(draw_seeds((0, 1, 2, 3), 125).errors), ours, atol=0.5)
+    rng = np.random.default_rng(40)
+    squares = np.square(dense_range_errors(math.radians(0.5) * rng.standard_normal((5000, 41, 2, 2))))
+    rmse = np.sqrt(squares.mean(0))
+    assert rmse.mean() == pytest.approx(480.0, rel=0.01)
+    standard_error = squares.std(0) / (2.0 * rmse) * math.sqrt(1 / 5000 + 1 / EKF_RUNS)
+    off = (np.array(EKF_M) - rmse[ROWS]) / standard_error[ROWS]
+    assert np.abs(off).max() < norm.ppf(1.0 - 0.0005 / len(ROWS))
+    assert (np.abs(rmse[ROWS[3:5]] / linear_range_error()[ROWS[3:5]] - 1.0) < 3.3 * math.sqrt(0.5 / 5000)).all()
+
+
 def test_missing_a_tenth_of_sensor_twos_scans_costs_3_to_8_percent(records):
     assert 1.03 <= records["ekf_dropouts"].rmse().mean() / records["ekf"].rmse().mean() <= 1.08
 
@@ -173,14 +233,16 @@ def test_sequential_pdaf_loses_no_more_but_errs_more(records):
     assert records["sequential_8"].rmse().mean() > 1.03 * records["pdaf_8"].rmse().mean()
 
 
-def test_fixed_density_is_much_harder(records):
-    """A gate that grows admits more clutter and grows again: the share lost leaps from 2 to 4 per clean gate."""
-    shares = [lost_share(records[f"fixed_{n:g}"])[0] for n in (0.5, 1, 2, 3, 4)]
-    assert shares[0] < 0.02
-    assert shares[1] < 0.03
-    assert 0.01 < shares[2] < 0.12
-    assert 0.3 < shares[3] < 0.65
-    assert shares[4] > 0.75
+@pytest.mark.parametrize(("clutter", "share"), FIXED_SHARES.items())
+def test_fixed_density_is_much_harder(records, clutter, share):
+    """A gate that grows admits more clutter and grows again: 0, 0.5, 8.2, 42, 82 % lost at 0.5 to 4 per clean gate.
+
+    Intervals of 99.9 % of both Monte Carlos meet.
+    """
+    low, high = wilson_interval(round(share * FIXED_RUNS), FIXED_RUNS, 0.999)
+    ours_low, ours_high = wilson_interval(int(records[f"fixed_{clutter:g}"].lost.sum()), RUNS, 0.999)
+    assert ours_low <= high
+    assert low <= ours_high
 
 
 def test_lost_by_either_criterion():
@@ -250,7 +312,7 @@ def test_clean_gates_are_those_of_a_filter_without_clutter():
         prior = tracker.predict(state, 2.0)
         areas.append(np.log(gate(prior.mean[:, 0], prior.cov[:, 0], places, std, 16.0).area).mean(0))
         state = tracker.update(prior, scan).posterior
-    np.testing.assert_allclose(np.array(areas)[[9, 19, 39]], np.log(clean_gates()[[10, 20, 40]]), atol=0.1)
+    np.testing.assert_allclose(np.array(areas)[[9, 19, 39]], np.log(clean_gates()[[9, 19, 39]]), atol=0.1)
 
 
 # ------------------------------------------------------------------------------------------------ report and command

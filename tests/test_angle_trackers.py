@@ -34,6 +34,7 @@ from trackers.compiled import Blocks
 from trackers.direction import direction, direction_jacobian, gate, std_with_curvature, unit_vector
 from trackers.motion_3d import predict_3d, process_noise_3d, transition_3d
 from trackers.outliers import TESTS, outlier_distances
+from trackers.pair_weights import return_weights
 from trackers.triangulation_3d import fix_3d, start_tracks
 
 STD = math.radians(0.5)
@@ -624,18 +625,20 @@ def test_fused_gate_implies_both_outlier_tests():
         assert plane[i] <= 1.05 * four + 0.05
 
 
-def test_pairs_that_fail_a_test_are_not_weighed():
-    """A tight conditioned test leaves the singles only; PDAF with a test rejects some pairs and keeps valid weights."""
+@pytest.mark.parametrize("test", TESTS)
+def test_pairs_that_fail_a_test_are_not_weighed(test):
+    """Against the formulas written out (`return_weights`), which a test changes in part of the scans."""
     rng = np.random.default_rng(19)
     track = random_tracks(rng, 200)
-    scan = cluttered_scan(rng, track, 6)
-    state = as_state(track)
-    plain = AnglePdaf().update(state, scan)
-    for test in TESTS:
-        tested = AnglePdaf(outlier_test=test).update(state, scan)
-        assert (tested.log_likelihood <= plain.log_likelihood + 1e-9).all()
-        assert (tested.log_likelihood < plain.log_likelihood - 1e-6).any()
-        assert ((tested.missed >= -1e-12) & (tested.missed <= 1.0 + 1e-12)).all()
+    scan, changed = cluttered_scan(rng, track, 6), 0
+    tested, plain = (AnglePdaf(outlier_test=name, detection_probability=0.9) for name in (test, None))
+    update = tested.update(as_state(track), scan)
+    for i in range(200):
+        prior, alone = rows(track, i), rows(scan, i)
+        weights = return_weights(prior, alone, tested)
+        np.testing.assert_allclose(1.0 - weights.sum(-1), update.missed[i, 0], atol=1e-6)
+        changed += np.abs(weights - return_weights(prior, alone, plain)).max() > 1e-3
+    assert 20 < changed < 200
 
 
 def test_platforms_at_one_place_say_nothing_about_coplanarity():
@@ -942,12 +945,46 @@ def test_numbers_that_are_none_are_refused_before_they_spread(name):
         ("platforms", (0, 1, 2), math.inf, r"scan.platforms\[0, 1, 2\] is inf: must be finite"),
         ("angle_std", (1, 1, 0), 0.0, r"scan.angle_std\[1, 1, 0\] is 0.0: must be positive"),
         ("angle_std", (1, 1, 0), math.nan, r"scan.angle_std\[1, 1, 0\] is nan: must be positive"),
+        ("angle_std", (0, 1, 1), math.inf, r"scan.angle_std\[0, 1, 1\] is inf: must be positive, 1000 rad at most"),
+        ("clutter_density", (1, 0), math.inf, r"scan.clutter_density\[1, 0\] is inf: must be finite"),
     ):
         bad = getattr(good, field).copy()
         bad[at] = value
         for call in (tracker.initiate, lambda scan: tracker.update(track, scan)):
             with pytest.raises(ValueError, match=words):
                 call(good._replace(**{field: bad}))
+
+
+def test_flags_that_are_shares_are_refused():
+    """An availability of 0.9 must not silently count as "available"."""
+    track, good = random_tracks(np.random.default_rng(32), 2, 1), make_scan(np.full((2, 2, 3, 2), 0.1))
+    for field in ("valid", "available"):
+        bad = good._replace(**{field: 0.9 * getattr(good, field)})
+        with pytest.raises(ValueError, match=f"scan.{field} holds float64: must be bool"):
+            AnglePdaf().update(track, bad)
+
+
+@pytest.mark.parametrize("available", [-0.1, 1.1, math.nan, np.array([[1.0, 1.0], [1.0, 2.0]])])
+def test_bounds_refuse_shares_that_are_none(available):
+    truth, std = np.array([24e3, -3e3, 8e3, -150.0, 0.0, 0.0]), np.full((2, 2), STD)
+    start = bound_start(truth, PLATFORMS, std, (200.0, 200.0, 50.0))
+    path, places = np.tile(truth, (2, 1)), np.tile(PLATFORMS, (2, 1, 1))
+    for bound in (
+        lambda: bound_start(truth, PLATFORMS, std, (200.0, 200.0, 50.0), available),
+        lambda: advance(start, truth, PLATFORMS, 2.0, 30.0, std, available),
+        lambda: posterior_bound_information_3d(path, places, start, std, 2.0, 30.0, available),
+    ):
+        with pytest.raises(ValueError, match=r"available holds .*must lie in \[0, 1\]"):
+            bound()
+
+
+@pytest.mark.parametrize("name", ["angle_pdaf", "angle_nn", "angle_pdaf_sequential"])
+@pytest.mark.parametrize("density", [1e-320, 1e-300, 1e300])
+def test_extreme_clutter_densities_leave_finite_numbers(name, density):
+    rng = np.random.default_rng(33)
+    track = random_tracks(rng, 20)
+    update = ANGLE_TRACKERS[name]().update(as_state(track), cluttered_scan(rng, track, 5, density=density))
+    assert all(np.isfinite(part).all() for part in (*update.posterior, *update[1:]))
 
 
 def test_clutter_density_that_is_unknown_is_estimated():

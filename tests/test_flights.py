@@ -7,6 +7,7 @@ import math
 from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from importlib import resources
+from itertools import pairwise
 
 import numpy as np
 import pymap3d
@@ -328,7 +329,7 @@ def test_turning_starts_equal_a_loop(turning_s):
     turning, expected = paths.turning_starts(20, 2.0, turning_s), []
     for start in paths.window_starts(20)[::7]:
         velocity = paths.states[start : start + 21, 3:5]
-        hard = sum(math.dist(a, b) / 2.0 > 2.0 for a, b in zip(velocity, velocity[1:], strict=False))
+        hard = sum(math.dist(a, b) / 2.0 > 2.0 for a, b in pairwise(velocity))
         if 2.0 * hard >= turning_s:
             expected.append(start)
     assert expected

@@ -14,12 +14,12 @@ from agents.imitation import imitate
 from agents.planner import Oracle, Planner
 from agents.policy import make_policy, sees_world
 from agents.prediction import CRITERIA, GUARD_PER_S, STANDOFF_PER_S, WORST, Prediction, situation
-from agents.steering import towards
 from agents.tuning import as_markdown, tune_zigzag
 from passive_env.belief import Belief
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation
 from passive_env.kinematics import turn
+from passive_env.steering import towards
 from trackers.bounds import fisher_information
 from trackers.motion import process_noise, transition
 

@@ -13,6 +13,9 @@ import numpy as np
 
 from trackers.gaussian import Gaussian
 
+LARGEST_STD = 1e3
+"""Largest standard deviation of an angle [rad]: says nothing at all, and its square is still a number."""
+
 
 class AngleScan(NamedTuple):
     """Returns of one instant: nobody says which of them, if any, is the target's.
@@ -43,17 +46,28 @@ class AngleScan(NamedTuple):
         """Refuse what would spread through every number.
 
         Raises:
-            ValueError: angles or platforms that are not finite, a standard deviation that is not positive.
+            ValueError: angles or platforms that are not finite, a standard deviation outside (0, `LARGEST_STD`],
+                an infinite clutter density, flags that are not bool.
         """
         for name in ("angles", "platforms"):
             part = np.asarray(getattr(self, name))
-            if not np.isfinite(part).all():
-                at = tuple(int(i) for i in np.argwhere(~np.isfinite(part))[0])
-                raise ValueError(f"scan.{name}{list(at)} is {part[at]}: must be finite (0 in slots that are not valid)")
+            self._require(np.isfinite(part), name, "must be finite (0 in slots that are not valid)")
         std = np.asarray(self.angle_std)
-        if not (std > 0.0).all():
-            at = tuple(int(i) for i in np.argwhere(~(std > 0.0))[0])
-            raise ValueError(f"scan.angle_std{list(at)} is {std[at]}: must be positive [rad]")
+        self._require((std > 0.0) & (std <= LARGEST_STD), "angle_std", f"must be positive, {LARGEST_STD:g} rad at most")
+        unknown = "must be finite; 0 or NaN says that nobody knows it"
+        self._require(~np.isinf(self.clutter_density), "clutter_density", unknown)
+        for name in ("valid", "available"):
+            dtype = np.asarray(getattr(self, name)).dtype
+            if dtype != np.bool_:
+                raise ValueError(
+                    f"scan.{name} holds {dtype}: must be bool, a return or component arrives or it does not"
+                )
+
+    def _require(self, holds: np.ndarray, name: str, allowed: str) -> None:
+        """Refuse the first value of a field for which something does not hold."""
+        if not holds.all():
+            at = tuple(int(i) for i in np.argwhere(~holds)[0])
+            raise ValueError(f"scan.{name}{list(at)} is {np.asarray(getattr(self, name))[at]}: {allowed}")
 
     def sensor(self, s: int) -> AngleScan:
         """The part of one sensor, its axis kept."""

@@ -42,6 +42,10 @@ SURE = 1e-12
 """Smallest probability that a sensor missed the target: with P_D = 1 and a wide gate it would be 0."""
 
 
+LEAST_CLUTTER = 1e-100
+"""Expected false returns in a gate, at least: a product of small numbers must not become 0."""
+
+
 @helper
 def sensor_gain(P, H, std, available, columns, roots):
     """Condition P [6, 6] on the available components of one sensor, in place: its gain columns and pivots.
@@ -108,7 +112,7 @@ def log_factors(roots, area, available, gamma, density, inside, p_d):
     volume, captured = area, 1.0 - math.exp(-0.5 * gamma)
     if count == 1:
         volume, captured = 2.0 * math.sqrt(gamma) * roots[0] * roots[1], math.erf(math.sqrt(0.5 * gamma))
-    expected = density * area if density > 0.0 else max(inside, 1)
+    expected = max(density * area, LEAST_CLUTTER) if density > 0.0 else max(inside, 1)
     hit = math.log(p_d * volume / expected) - 0.5 * count * LOG_TWO_PI - math.log(roots[0] * roots[1])
     return hit, math.log(max(1.0 - p_d * captured, SURE))
 

@@ -11,6 +11,8 @@ Source: Tichavský, Muravchik and Nehorai, IEEE Trans. Signal Processing 46(5), 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from trackers.compiled import helper, kernel
@@ -40,7 +42,7 @@ def _advance(P, truth, platforms, std, share, T, acceleration_std, P_out):
     _look(P_out, truth, platforms, std, share)
 
 
-def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, available=1.0):
+def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, available: Any = 1.0):
     """One step of the bound: motion, then a scan.
 
     Args:
@@ -56,7 +58,7 @@ def advance(cov, truth, platforms, step_s, acceleration_std, angle_std, availabl
     return _advance(cov, truth, platforms, angle_std, _shares(available, angle_std), step_s, acceleration_std)
 
 
-def bound_start(truth, platforms, angle_std, velocity_std, available=1.0, position_std_m=PRIOR_POSITION_STD_M):
+def bound_start(truth, platforms, angle_std, velocity_std, available: Any = 1.0, position_std_m=PRIOR_POSITION_STD_M):
     """The bound [..., 6, 6] after the first scan: a velocity prior, next to no position prior, and the scan.
 
     Args:
@@ -75,7 +77,15 @@ def _bound_start(prior, truth, platforms, std, share, P_out):
 
 
 def _shares(available, angle_std):
-    """Shares of one number for all components, or as given."""
+    """Shares of one number for all components, or as given.
+
+    Raises:
+        ValueError: a share outside [0, 1].
+    """
+    share = np.asarray(available)
+    sound = (share >= 0) & (share <= 1)
+    if not sound.all():
+        raise ValueError(f"available holds {share[~sound].flat[0]}: shares of scans must lie in [0, 1]")
     return np.broadcast_to(available, np.shape(angle_std)) if np.ndim(available) == 0 else available
 
 
@@ -91,7 +101,9 @@ def position_std_3d(cov):
     return np.sqrt(np.maximum(np.trace(np.asarray(cov)[..., :3, :3], axis1=-2, axis2=-1), 0.0))
 
 
-def posterior_bound_information_3d(truth, platforms, prior_cov, angle_std, step_s, acceleration_std, available=1.0):
+def posterior_bound_information_3d(
+    truth, platforms, prior_cov, angle_std, step_s, acceleration_std, available: Any = 1.0
+):
     """The posterior bound along whole paths, in information form (matrix inverses).
 
     Args:

@@ -277,6 +277,51 @@ def scratch(shape: tuple[int, ...], stations: int, slots: int):
     )
 
 
+@helper
+def _renew_in_place(x, P, lw, nu, z, stations, var, second_order, log_likelihood, k_opt, share, c_opt, hit, miss, two,
+                    log_prune, merge_below, parent, option, delta, x_out, P_out, lw_out, own_out):  # fmt: skip
+    """One track's posterior bank where one option is left: as many branches as hypotheses, made in their places.
+
+    parent, option and delta are scratch; the rest as in `_renew_from_branches`.
+    """
+    kept = _select_branches(
+        lw, log_likelihood, k_opt, share, 1, hit, miss, two, c_opt, lw_out, own_out, parent, option
+    )  # fmt: skip
+    kept = cut_tail(lw_out, own_out, kept, log_prune)
+    update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, parent, option, x_out, P_out)
+    merge(x_out, P_out, lw_out[:kept], own_out[:kept], merge_below, delta)
+    close_gaps(x_out, P_out, lw_out, own_out, kept)
+
+
+@helper
+def _renew_from_branches(x, P, lw, nu, count, z, stations, var, second_order, log_likelihood, k_opt, share, c_opt, hit,
+                         miss, two, log_prune, merge_below, parent, option, delta, weight, own, x_branch, P_branch,
+                         x_out, P_out, lw_out, own_out):  # fmt: skip
+    """One track's posterior bank from the branches of `count` options, which are made in a place of their own.
+
+    x, P, lw: the prior bank, nu [s, n, b] its innovations; log_likelihood, k_opt, share, c_opt: the track's options as
+    `weigh_options` leaves them; from `parent` to `P_branch` all is scratch.
+    """
+    kept = _select_branches(
+        lw, log_likelihood, k_opt, share, count, hit, miss, two, c_opt, weight, own, parent, option
+    )  # fmt: skip
+    update_branches(x, P, nu, z, stations, var, second_order, k_opt, kept, parent, option, x_branch, P_branch)
+    lw_kept, own_kept = weight[:kept], own[:kept]
+    if kept == 1:  # nothing to weigh
+        lw_kept[0] = own_kept[0] = 0.0
+    else:
+        reweight(lw_kept, log_prune)
+        for i in range(kept):
+            if lw_kept[i] <= PRUNED:
+                own_kept[i] = PRUNED
+        merge(x_branch, P_branch, lw_kept, own_kept, merge_below, delta)
+    dropped = _keep_heaviest(x_branch, P_branch, lw_kept, own_kept, x_out, P_out, lw_out, own_out)
+    if kept > 1:
+        reweight(own_out, KEEP_ALL)
+    if dropped:
+        reweight(lw_out, log_prune)
+
+
 @kernel(
     "(m,n,x),(m,n,x,x),(m,n),(s,b),(s,b),(s,p),(),(),(),(),(),(),(),(m,o,u),(m,o,v),(m,s,n,b),(m,g,n),(l,q),(h,r),(t,b),(c,x),(c,x,x)"
     "->(m,n,x),(m,n,x,x),(m,n),(m,n),(m,s),(m,s),(m,s),(m)",
@@ -302,39 +347,18 @@ def _branch_and_update(x, P, lw, z, valid, stations, std, gate, miss, hit, log_p
             k = k_opt[j, best[j], s]
             assignment[j, s] = k
             nu_out[j, s], S_out[j, s] = mixture_innovation(lw[j], nu[j, s], S[j, s], k, var)
-        if clear:  # as many branches as hypotheses: they are made in their places
-            kept = _select_branches(
-                lw[j], log_likelihood[j], k_opt[j], share[j], 1, hit, miss, two, c_opt[j],
-                lw_out[j], own_out[j], parent, option,
+        if clear:
+            _renew_in_place(
+                x[j], P[j], lw[j], nu[j], z, stations, var, second_order, log_likelihood[j], k_opt[j], share[j],
+                c_opt[j], hit, miss, two, log_prune, merge_below, parent, option, delta, x_out[j], P_out[j],
+                lw_out[j], own_out[j],
             )  # fmt: skip
-            kept = cut_tail(lw_out[j], own_out[j], kept, log_prune)
-            update_branches(
-                x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_out[j], P_out[j]
-            )
-            merge(x_out[j], P_out[j], lw_out[j, :kept], own_out[j, :kept], merge_below, delta)
-            close_gaps(x_out[j], P_out[j], lw_out[j], own_out[j], kept)
-            continue
-        kept = _select_branches(
-            lw[j], log_likelihood[j], k_opt[j], share[j], count[j], hit, miss, two, c_opt[j],
-            weight, own, parent, option,
-        )  # fmt: skip
-        update_branches(
-            x[j], P[j], nu[j], z, stations, var, second_order, k_opt[j], kept, parent, option, x_branch, P_branch
-        )
-        lw_kept, own_kept = weight[:kept], own[:kept]
-        if kept == 1:  # nothing to weigh
-            lw_kept[0] = own_kept[0] = 0.0
         else:
-            reweight(lw_kept, log_prune)
-            for i in range(kept):
-                if lw_kept[i] <= PRUNED:
-                    own_kept[i] = PRUNED
-            merge(x_branch, P_branch, lw_kept, own_kept, merge_below, delta)
-        dropped = _keep_heaviest(x_branch, P_branch, lw_kept, own_kept, x_out[j], P_out[j], lw_out[j], own_out[j])
-        if kept > 1:
-            reweight(own_out[j], KEEP_ALL)
-        if dropped:
-            reweight(lw_out[j], log_prune)
+            _renew_from_branches(
+                x[j], P[j], lw[j], nu[j], count[j], z, stations, var, second_order, log_likelihood[j], k_opt[j],
+                share[j], c_opt[j], hit, miss, two, log_prune, merge_below, parent, option, delta, weight, own,
+                x_branch, P_branch, x_out[j], P_out[j], lw_out[j], own_out[j],
+            )  # fmt: skip
 
 
 def branch_and_update(mean, cov, own_log_weights, scan, model, prune_below, merge_below=4.0, second_order=False):

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from passive_env.actions import Continuous, Discrete
+from passive_env.actions import Continuous, Discrete, Headings
 from passive_env.angle_metrics import AngleFigures
 from passive_env.angle_observation import AngleObservation
 from passive_env.angle_sensors import AngleSensors, Clutter
@@ -38,6 +38,9 @@ PAPER_TURN_S, PAPER_TURN_DEG = 40.0, 45.0
 COURSE_UNIFORMS = 13
 """Uniform numbers of an episode's courses: formation, its side, baseline, heading, two altitudes; the target's bearing,
 range, speed, course, altitude, climb, recorded flight."""
+
+ACTIONS = ("continuous", "headings", "discrete")
+"""Kinds of action spaces (`passive_env.actions`)."""
 
 MOST_FALSE = 128
 """Slots for false returns of one scan of one platform, at most."""
@@ -126,7 +129,7 @@ class AngleFusion(TrackingScenario):
     platform_altitude_max_m: float = number(8e3, 0.0, 3e4, "highest")
     lost_error_m: float = number(1e3, 1.0, 1e6, "a track is lost if farther off than this …")
     lost_nees: float = number(27.9, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 6 degrees)")
-    actions: str = choice("continuous", ("continuous", "discrete"), "Box rates, or 3 of each per platform")
+    actions: str = choice("continuous", ACTIONS, "Box of rates; Box of headings and climbs; or 3 rates of each kind")
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_position_error: float = number(0.0, 0.0, 1e6, "weight")
@@ -187,6 +190,8 @@ class AngleFusion(TrackingScenario):
     def make_actions(self) -> Continuous | Discrete:
         """Action codec: turn rates of all platforms, then climb rates."""
         odd = [True] * self.stations + [False] * self.stations
+        if self.actions == "headings":
+            return Headings(len(odd), self.stations, math.radians(self.max_turn_rate_deg_s) * self.step_s, odd)
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> AngleObservation:

@@ -66,8 +66,8 @@ class ManeuveringTarget(TrackingScenario):
     measures only after a step driven at ``measuring_speed_m_s`` at most; a scan of fewer than two azimuths has no fix.
     Observation: `passive_env.maneuver_observation.ManeuverObservation`.
     info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``fix_error_m``,
-        ``maneuvering``, ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and ``detected``, each
-        [1, models].
+        ``maneuvering``, ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and
+        ``detected``, each [1, models].
     Bound: for a target of constant velocity that a white acceleration of ``bound_acceleration_m_s2`` per axis and step
         disturbs, known to 200 m/s per axis at first.
     """

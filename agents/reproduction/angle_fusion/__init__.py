@@ -34,9 +34,6 @@ TRIALS: dict[str, Trial] = {
 }
 """What is tried; the names of the levels end with the mean number of false returns per gate."""
 
-LARGEST_FIXED = 500
-"""Runs of the trials with a fixed density: their gates grow, and with them the work."""
-
 
 def reproduce_angle_fusion(
     runs: int = 500, seeds: Sequence[int] = (0, 1, 2, 3), out: Path | None = None
@@ -75,9 +72,7 @@ def run_trials(runs: int, seeds: Sequence[int]) -> dict[str, Record]:
     """All trials on the same errors and dropouts, each with its own false returns."""
     noise, records = draw_seeds(seeds, runs), {}
     for i, (name, trial) in enumerate(TRIALS.items()):
-        count = LARGEST_FIXED if trial.fixed_density else None
-        some = type(noise)(*(part[:count] for part in noise))
-        records[name] = follow(trial, some, np.random.default_rng([*seeds, runs, i]))
+        records[name] = follow(trial, noise, np.random.default_rng([*seeds, runs, i]))
     return records
 
 

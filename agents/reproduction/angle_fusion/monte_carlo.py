@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,8 +101,8 @@ class Trial:
     Attributes:
         tracker: name in `ANGLE_TRACKERS`; settings: keywords of its class.
         clutter: mean number of false returns in each sensor's gate, every scan; 0 for none.
-        fixed_density: `clutter` counts the gates of a filter without clutter instead of the tracker's own, so that a
-            gate that grows admits more.
+        fixed_density: `clutter` counts the gates of a filter without clutter instead of the tracker's own, on average
+            over scans and sensors: one density for all of them, so that a gate that grows admits more.
         detection: probability that a sensor sees the target.
         availability: probability that sensor 2's data arrive, per scan; the first scan always does.
     """
@@ -170,7 +171,7 @@ def follow(trial: Trial, noise: Noise, rng: np.random.Generator) -> Record:
     for k in range(1, STEPS + 1):
         prior, platforms = tracker.predict(state, STEP_S), _places(k, runs)
         search = gate(prior.mean[:, 0], prior.cov[:, 0], platforms, std, tracker.gate)
-        density = _density(trial, k, search.area)
+        density = _density(trial, search.area)
         detected = rng.random((runs, 2)) < trial.detection
         angles, valid, swamped = _returns(z[:, k], detected, density, search, tracker.gate, swamped, rng)
         available = everything.copy()
@@ -186,13 +187,11 @@ def _places(k: int, runs: int) -> np.ndarray:
     return np.broadcast_to(PATHS.platforms[k], (runs, 2, 3)).copy()
 
 
-def _density(trial: Trial, k: int, area: np.ndarray) -> np.ndarray:
-    """False returns per rad² [r, 2]."""
+def _density(trial: Trial, area: np.ndarray) -> np.ndarray:
+    """False returns per rad² [r, 2] for gates of these areas."""
     if trial.clutter == 0.0:
         return np.full(area.shape, NO_CLUTTER)
-    return (
-        np.broadcast_to(trial.clutter / clean_gates()[k], area.shape) if trial.fixed_density else trial.clutter / area
-    )
+    return np.full(area.shape, trial.clutter / clean_gate()) if trial.fixed_density else trial.clutter / area
 
 
 def _returns(z, detected, density, search, gamma, swamped, rng):
@@ -272,10 +271,15 @@ def linear_range_error() -> np.ndarray:
 
 
 def clean_gates() -> np.ndarray:
-    """Gate areas [k + 1, 2] rad² of a filter without clutter, γ₂ = 16, along the true path; index 0 unused."""
+    """Gate areas [k, 2] rad² of a filter without clutter, γ₂ = 16, along the true path, k = 1 … 40."""
     std, cov = np.full((2, 2), ANGLE_STD), start_bound()
     phi, Q = transition_3d(STEP_S), process_noise_3d(STEP_S, PROCESS_NOISE)
     updated = posterior_bound_information_3d(PATHS.target, PATHS.platforms, cov, std, STEP_S, PROCESS_NOISE)
     predicted = phi @ updated[:-1] @ phi.T + Q
-    areas = gate(PATHS.target[1:], predicted, PATHS.platforms[1:], std, 16.0).area
-    return np.concatenate([np.full((1, 2), np.inf), areas])
+    return gate(PATHS.target[1:], predicted, PATHS.platforms[1:], std, 16.0).area
+
+
+@cache
+def clean_gate() -> float:
+    """Average [rad²] of these areas over scans and sensors: a physical density is one number."""
+    return float(clean_gates().mean())

@@ -47,7 +47,7 @@ def lost_picture(records: Mapping[str, Record]) -> Figure:
     axes.axhline(5.0, color=PURPLE, linestyle=":", label="5 %, the paper's limit up to 9 returns")
     axes.axvline(9.0, color=PURPLE, linestyle=":")
     _dress(axes, "Figure 1: lost tracks", "validated returns per sensor", "lost tracks [%]")
-    axes.set_xlim(0.0, 14.0)
+    axes.set_xlim(0.0, 20.0)
     axes.set_yscale("symlog", linthresh=5.0)
     axes.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.set_ylim(0.0, 120.0)

@@ -1,0 +1,170 @@
+"""Actions that name headings off the line of sight: what they mean, and models that were trained on them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agents.evaluation import fly
+from agents.learned import LearnedPolicy, observation_digest, read_config
+from agents.presets import load_preset
+from agents.rules import HoldOffSight
+from agents.sb3 import Sb3VecEnv
+from agents.training import Run, begin_with, new_model, train
+from passive_env import PassiveEnv, PassiveVectorEnv
+from passive_env.actions import Headings
+from passive_env.catalogue import make_scenario
+from passive_env.core import Simulation
+from passive_env.steering import course, line_of_sight, outward
+from trackers.angles import wrap
+
+LIMIT = np.radians(10.0)
+ID = "passive/AngleFusion-v0"
+
+
+def belief_of(places, courses_deg, target=(20_000.0, 0.0)):
+    """Belief of one episode: platforms at 150 m/s in the plane and a track at rest."""
+    courses = np.radians(courses_deg)
+    platforms = np.column_stack([places, 150.0 * np.cos(courses), 150.0 * np.sin(courses)])[None]
+    return SimpleNamespace(platforms=platforms, mean=np.array([[[*target, 0.0, 0.0]]]))
+
+
+def codec(size=2, odd=None):
+    return Headings(size, 2, LIMIT, odd)
+
+
+def test_outward_is_left_for_the_left_platform():
+    belief = belief_of([(0.0, -3000.0), (0.0, 3000.0)], [0.0, 0.0])
+    assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, 1.0]])
+    behind = belief_of([(0.0, -3000.0), (0.0, 3000.0)], [0.0, 0.0], target=(-20_000.0, 0.0))
+    assert np.array_equal(outward(behind.platforms, behind.mean), [[1.0, -1.0]])
+
+
+def test_platforms_in_line_with_the_target_go_to_different_sides():
+    belief = belief_of([(0.0, 0.0), (-5000.0, 0.0)], [0.0, 0.0])
+    assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, 1.0]])
+
+
+def test_a_heading_is_an_angle_off_the_platforms_own_line_of_sight():
+    """The right platform sees the target 45° to the left of east, the left one 45° to the right."""
+    places = [(0.0, -10_000.0), (0.0, 10_000.0)]
+    values = np.array([[60.0 / 180.0, 90.0 / 180.0]])
+    aims = [45.0 - 60.0, -45.0 + 90.0]
+    for courses, expected in (
+        (aims, [0.0, 0.0]),
+        ([aims[0] - 5.0, aims[1] + 2.5], [0.5, -0.25]),
+        ([aims[0] + 90.0, aims[1] - 90.0], [-1.0, 1.0]),
+    ):
+        belief = belief_of(places, courses, target=(10_000.0, 0.0))
+        np.testing.assert_allclose(codec().commands(values, belief), [expected], atol=1e-12)
+
+
+def test_climbs_pass_unchanged():
+    belief = belief_of([(0.0, -10_000.0), (0.0, 10_000.0)], [0.0, 0.0])
+    actions = codec(4, [True, True, False, False])
+    values = np.array([[0.1, 0.2, 0.3, -0.4]])
+    assert np.array_equal(actions.commands(values, belief)[:, 2:], values[:, 2:])
+    assert np.array_equal(actions.mirrored(values), values)
+
+
+def test_encoded_commands_are_the_same_commands_again():
+    env = PassiveVectorEnv("AngleFusion", num_envs=64, actions="headings")
+    env.reset(seed=1)
+    belief, actions = env.belief(), env.simulation.actions
+    commands = np.random.default_rng(2).uniform(-0.999, 0.999, (64, 4))
+    again = actions.commands(actions.decode(actions.encode(commands, belief), 64), belief)
+    np.testing.assert_allclose(again, commands, atol=1e-5)
+    with pytest.raises(TypeError, match="need the belief"):
+        actions.encode(commands)
+
+
+def test_a_constant_action_holds_an_angle_off_the_line_of_sight():
+    scenario = make_scenario("AngleFusion", {"actions": "headings", "steps": 25})
+    env = PassiveVectorEnv(scenario, num_envs=32, autoreset_mode="disabled")
+    rule = HoldOffSight(scenario, 60.0, exchange=True)
+    env.reset(seed=3)
+    rule.reset(env.belief())
+    action = np.tile(np.float32([1 / 3, 1 / 3, 0.0, 0.0]), (32, 1))
+    for _ in range(scenario.steps):
+        belief = env.belief()
+        expected = rule.act(belief, None)
+        values = env.simulation.actions.decode(action, 32)
+        np.testing.assert_allclose(env.simulation.actions.commands(values, belief), expected, atol=1e-5)
+        env.step(action)
+    belief = env.belief()
+    off = wrap(course(belief.platforms) - line_of_sight(belief.platforms, belief.mean))
+    assert np.median(np.abs(np.abs(off) - np.pi / 3)) < np.radians(3.0)
+
+
+def test_a_batch_flies_headings_as_single_environments_do():
+    batch = PassiveVectorEnv("AngleFusion", num_envs=3, actions="headings", clutter_mean=2.0)
+    seen, _ = batch.reset(seed=11)
+    singles = [PassiveEnv("AngleFusion", actions="headings", clutter_mean=2.0) for _ in range(3)]
+    for i, env in enumerate(singles):
+        assert np.array_equal(env.reset(seed=11 + i)[0], seen[i])
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        action = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32)
+        seen, reward, *_ = batch.step(action)
+        for i, env in enumerate(singles):
+            alone, earned, *_ = env.step(action[i])
+            assert np.array_equal(alone, seen[i])
+            assert earned == reward[i]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run of one short rollout that chooses headings, on a scenario that is evaluated by rates."""
+    preset = load_preset("AngleFusion", "ppo")
+    preset |= {"net_arch": [8], "first_action": [0.5, 0.25, 0.0, 0.0]}
+    preset.pop("imitation", None)
+    preset["scenario"] = {"actions": "headings"}
+    preset["arguments"] = {**preset["arguments"], "batch_size": 30, "n_epochs": 1}
+    run = Run(
+        tmp_path_factory.mktemp("headings") / "run", "AngleFusion", {"steps": 5}, "ppo", 0, "cpu", 30, 6, preset=preset
+    )
+    train(run, progress=False)
+    return run
+
+
+def test_a_model_of_headings_flies_where_rates_are_flown(trained):
+    assert read_config(trained.folder)["actions"] == "headings"
+    for kind in ("continuous", "headings"):
+        scenario = make_scenario("AngleFusion", {"steps": 5, "actions": kind})
+        env = PassiveVectorEnv(scenario, num_envs=8, autoreset_mode="disabled")
+        observation, _ = env.reset(seed=0)
+        policy = LearnedPolicy(trained.folder, ID, env.simulation)
+        policy.reset(env.belief())
+        commands = policy.act(env.belief(), observation)
+        if kind == "continuous":
+            first = commands
+        np.testing.assert_allclose(commands, first, atol=1e-6)
+    by_rates, by_headings = (
+        fly(make_scenario("AngleFusion", {"steps": 5, "actions": kind}), policy, 8, 0)
+        for kind in ("continuous", "headings")
+    )
+    np.testing.assert_allclose(by_rates.final, by_headings.final, rtol=1e-3)
+
+
+def test_a_model_of_headings_does_not_choose_among_three_rates(trained):
+    scenario = make_scenario("AngleFusion", {"steps": 5, "actions": "discrete"})
+    with pytest.raises(ValueError, match="action kind"):
+        LearnedPolicy(trained.folder, ID, Simulation(scenario))
+
+
+def test_the_fingerprint_tells_headings_from_rates():
+    digests = {
+        kind: observation_digest(Simulation(make_scenario("AngleFusion", {"actions": kind})))
+        for kind in ("continuous", "headings", "discrete")
+    }
+    assert len(set(digests.values())) == 3
+
+
+def test_an_actor_begins_with_the_first_action(trained):
+    env = PassiveVectorEnv(trained.training_scenario, num_envs=6, autoreset_mode="same_step")
+    model = new_model(trained, Sb3VecEnv(env, truth=trained.asymmetric))
+    seen = Sb3VecEnv(env, truth=trained.asymmetric).reset()
+    actions, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(actions, np.tile([0.5, 0.25, 0.0, 0.0], (6, 1)), atol=0.1)
+    with pytest.raises(ValueError, match="first_action has 3 values, must have 4"):
+        begin_with(model, [0.5, 0.25, 0.0])
