@@ -266,6 +266,23 @@ def test_discrete_actions_are_three_of_every_rate_and_speed():
     assert np.array_equal(observed, expected)
 
 
+def test_a_constant_heading_opens_the_baseline_at_full_speed():
+    """60° outwards off each line of sight: once the turns are over, both fly there, on opposite sides."""
+    env = PassiveVectorEnv(NAME, 20, "disabled", threads=1, actions="headings")
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step(np.tile([1 / 3, 1 / 3, 1.0, 1.0], (20, 1)))
+    platforms, mean = env.world.platforms, env.world.estimate.mean[:, 0]
+    sight = mean[:, None, :2] - platforms[..., :2]
+    off = wrap(
+        np.arctan2(platforms[..., 3], platforms[..., 2]) - np.arctan2(sight[..., 1], sight[..., 0])
+    )  # the line of sight has moved by less than 5° since the action
+    np.testing.assert_allclose(np.sort(np.degrees(off), axis=1), np.tile([-60.0, 60.0], (20, 1)), atol=5.0)
+    np.testing.assert_allclose(np.hypot(platforms[..., 2], platforms[..., 3]), 250.0)
+    gap = platforms[:, 0, :2] - platforms[:, 1, :2]
+    assert (np.hypot(*gap.T) > 5e3).all()
+
+
 # ------------------------------------------------------------------------------------------------ azimuths, fixes
 
 

@@ -15,11 +15,11 @@ from tqdm import tqdm
 from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
     measure_decisions,
-    measure_maneuvers,
     measure_memory,
     measure_one_platform,
     measure_resets,
     measure_single,
+    measure_stations,
     measure_two_aircraft,
     measure_vector,
 )
@@ -39,7 +39,7 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "vector environment": measure_vector,
     "one platform": measure_one_platform,
     "two aircraft": measure_two_aircraft,
-    "maneuvering target": measure_maneuvers,
+    "stations": measure_stations,
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from passive_env.actions import Continuous, Discrete
+from passive_env.actions import Continuous, Discrete, Headings
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
@@ -31,6 +31,8 @@ from trackers import MANEUVER_TRACKERS
 from trackers.compiled import kernel
 from trackers.fix_contract import ManeuverTracker
 from trackers.imm_mie import MIXINGS, ImmMie
+
+ACTIONS = ("continuous", "headings", "discrete")
 
 START_UNIFORMS = 6
 """Uniform numbers of an episode's start besides the stations' headings: line of sight, range, tilt of the baseline,
@@ -123,7 +125,7 @@ class ManeuveringTarget(TrackingScenario):
     bound_acceleration_m_s2: float = number(10.0, 0.0, 500.0, "acceleration the Cramér–Rao bound's target has")
     lost_error_m: float = number(1e3, 1.0, 1e6, "a track is lost if farther off than this …")
     lost_nees: float = number(23.5, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 4 degrees)")
-    actions: str = choice("continuous", ("continuous", "discrete"), "Box rates and speeds, or 3 of each per station")
+    actions: str = choice("continuous", ACTIONS, "Box of rates, of headings (speeds in either), or 3 of each kind")
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_position_error: float = number(0.0, 0.0, 1e6, "weight")
@@ -199,8 +201,10 @@ class ManeuveringTarget(TrackingScenario):
         return tracker
 
     def make_actions(self) -> Continuous | Discrete:
-        """Action codec: turn rates of all stations, then speeds."""
+        """Action codec: turn rates of all stations, or headings to turn to, then speeds."""
         odd = [True] * self.stations + [False] * self.stations
+        if self.actions == "headings":
+            return Headings(len(odd), self.stations, math.radians(self.max_turn_rate_deg_s) * self.step_s, odd)
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> ManeuverObservation:
