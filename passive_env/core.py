@@ -4,7 +4,7 @@ Nothing here knows which family of scenarios runs; the scenario names the parts:
 
     draw_tape(generators)       randomness, true paths and start of the platforms
     move(platforms, command)    platforms after one step
-    make_sensors(tracker)       an object with acquire, sense, acquired, report (`passive_env.sensors.DirectionFinders`)
+    make_sensors(tracker)       one with acquire, sense, acquired, report, info (`passive_env.sensors.DirectionFinders`)
     make_metrics()              one with begin, advance, violations (`passive_env.metrics.BearingMetrics`)
     make_tracker, make_actions, make_observation, reward_weights
 

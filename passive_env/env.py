@@ -18,17 +18,19 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
     """One episode of a passive-tracking scenario.
 
     Observation: ``Box(-5, 5, (d,), float32)``, a function of the belief only; `observation_fields` names every number,
-        `passive_env.observations.TrackObservation` (in space `passive_env.angle_observation.AngleObservation`) lists
-        them with units and scales.
+        `passive_env.observations.TrackObservation` (in space `passive_env.angle_observation.AngleObservation`, of a
+        maneuvering target `passive_env.maneuver_observation.ManeuverObservation`) lists them with units and scales.
     Action: ``Box(-1, 1, (a,), float32)``, one turn rate per platform as a share of its limit, counter-clockwise +, in
-        space then one climb rate per platform (``actions="discrete"``: `MultiDiscrete`, three of each rate).
+        space then one climb rate per platform, against a maneuvering target one speed per platform
+        (``actions="discrete"``: `MultiDiscrete`, three of each).
     Reward: weighted terms (`passive_env.rewards`); ``info["reward_terms"]`` shows each. Default: −log(range error /
-        1 km), in space of the position error, mean over targets.
+        1 km), in space and of a maneuvering target of the position error, mean over targets.
     Episode end: truncated after ``steps`` decisions; never terminated.
     info: ``range_error_m, position_error_m, range_m, range_crlb_m, nees, lost``, each [targets];
         ``standoff_violation, nogo_violation``: relative depth of intrusion into stand-off rings and no-go discs, summed
         over pairs, 0 while every platform keeps clear; ``reward_terms``; in space also ``position_crlb_m`` and
-        ``dropped_returns``, each [targets].
+        ``dropped_returns``, each [targets]; what those with a maneuvering target show besides stands with
+        `passive_env.catalogue.maneuvering.ManeuveringTarget`.
 
     Args:
         scenario: catalogue name or a `Scenario`.

@@ -19,7 +19,11 @@ from passive_env.catalogue import environment_ids, make_scenario
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-FAMILIES = {"Ownship": ROOT / "docs" / "ownship.md", "AngleFusion": ROOT / "docs" / "angle_fusion.md"}
+FAMILIES = {
+    "Ownship": ROOT / "docs" / "ownship.md",
+    "AngleFusion": ROOT / "docs" / "angle_fusion.md",
+    "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
+}
 """Environments and the documents that describe them."""
 WITH_CODE = [ROOT / "README.md", *FAMILIES.values()]
 

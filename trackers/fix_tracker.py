@@ -100,7 +100,7 @@ class FixTracker(ABC):
         """Propagate all tracks by one step."""
 
     @abstractmethod
-    def update_fix(self, state: Any, position, cov, fixed=True) -> ManeuverUpdate:
+    def update_fix(self, state: Any, position: Any, cov: Any, fixed: Any = True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
 
     @abstractmethod

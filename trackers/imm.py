@@ -191,7 +191,7 @@ class Imm3(FixTracker):
         F, Q = (np.stack(parts) for parts in zip(*models, strict=True))
         return imm_predict(state, self._chain, F, Q)
 
-    def update_fix(self, state: ImmState, position, cov, fixed=True) -> ManeuverUpdate:
+    def update_fix(self, state: ImmState, position: Any, cov: Any, fixed: Any = True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
         posterior, log_likelihood, nu, S = imm_update(state, position, cov, fixed)
         never = np.zeros(posterior.probability.shape, dtype=bool)

@@ -312,7 +312,7 @@ class ImmMie(FixTracker):
         )  # fmt: skip
         return state._replace(recursion=x, recursion_cov=P, output=y, output_cov=Pi, probability=mu, sensitivity=E)
 
-    def update_fix(self, state: MieState, position, cov, fixed=True) -> ManeuverUpdate:
+    def update_fix(self, state: MieState, position: Any, cov: Any, fixed: Any = True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
         _, windows, thresholds = self._bank
         update_filters = UPDATES[state.input.shape[-1]]

@@ -15,7 +15,7 @@ from agents.planner import Planner
 from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
-SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT = "TwoStation", "Ownship", "AngleFusion"
+SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT, MANEUVERS = "TwoStation", "Ownship", "AngleFusion", "ManeuveringTarget"
 
 
 def measure_vector(effort: Effort) -> Section:
@@ -48,6 +48,13 @@ def measure_two_aircraft(effort: Effort) -> Section:
     }
     goals = {"angles_clean_random_actions": ">= 400000", "angles_clutter_8_random_actions": ">= 40000"}
     return Section(_rates(tasks, effort, clean.steps, goals))
+
+
+def measure_stations(effort: Effort) -> Section:
+    """Environment steps per second against a maneuvering target, windows as in `measure_vector`."""
+    wide = {"": _begun(effort, None, MANEUVERS), "_one_thread": _begun(effort, 1, MANEUVERS)}
+    tasks = {f"maneuvers_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
+    return Section(_rates(tasks, effort, wide[""].scenario.steps, {"maneuvers_random_actions": ">= 150000"}))
 
 
 def _rates(tasks: Mapping[str, Task], effort: Effort, steps: int, goals: Mapping[str, str]) -> list[Result]:

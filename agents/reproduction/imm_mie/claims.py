@@ -44,7 +44,7 @@ SPLIT_M_S2 = (-0.92, 5.16, 0.59)
 NOISY_SPAN_S, NOISY_SPLIT_M_S2 = (26.0, 40.0), (-1.4, 2.4, 0.2)
 FALSE_ALARM = math.exp(-4.0)
 
-GEOMETRY: dict[str, tuple[Layout, tuple[float | None, ...]]] = {
+GEOMETRY: dict[str, tuple[Layout, tuple[float, ...]]] = {
     "B = 2 km": (Layout(2e3), (398, 112, 326, 375)),
     "B = 5 km": (Layout(5e3), (161, 50, 134, 194)),
     "B = 10 km": (Layout(10e3), (84, 28, 71, 103)),
@@ -197,7 +197,7 @@ def _unsupported_claims(trials: Trials) -> Iterator[dict[str, Any]]:
 def _detector_claims(trials: Trials) -> Iterator[dict[str, Any]]:
     for window, alarms in trials.quiet.items():
         share = float(alarms.mean())
-        text = f"false alarms a step in quiet flight, window {window}: e⁻⁴ within 0.003"
+        text = f"share of tests passed in quiet flight, window {window}: e⁻⁴ within 0.003"
         interval = wilson_interval(int(alarms.sum()), alarms.size)
         yield claim("1", text, FALSE_ALARM, share, within(share, FALSE_ALARM, absolute=0.003), interval)
     for name, paper in CLASSICAL_TURN_M.items():
@@ -253,11 +253,16 @@ def _geometry_claims(trials: Trials, rng: np.random.Generator) -> Iterator[dict[
         squares = _squares(*trials.geometry[name])
         draws = np.sqrt(squares[rng.integers(0, len(squares), (BOOTSTRAP_DRAWS, GEOMETRY_RUNS))].mean(1))
         ends = percentile_interval(draws, level=0.99)
-        text = f"{name}: RMSE [m] of fix, CV, turn, and IMM3's turn, each within 10 %"
-        yield claim("8", text, paper, rows[name], within(rows[name], paper, relative=0.10), ends)
-        inside = bool(((np.array(paper) >= ends.low - 0.5) & (np.array(paper) <= ends.high + 0.5)).all())
-        text = f"{name}: the specification's 40 runs lie where 99 % of 40 of our runs do"
-        yield claim("8", text, paper, rows[name], inside, ends)
+        others = [0, 2, 3]
+        text = f"{name}: RMSE [m] of fix, turn and IMM3's turn, each within 10 %"
+        stated, ours = np.array(paper)[others], np.array(rows[name])[others]
+        yield claim("8", text, stated, ours, within(ours, stated, relative=0.10), (ends.low[others], ends.high[others]))
+        text = f"{name}: RMSE [m] in CV, within 10 %"
+        interval = (ends.low[1], ends.high[1])
+        yield claim("8", text, paper[1], rows[name][1], within(rows[name][1], paper[1], relative=0.10), interval)
+        text = f"{name}: the specification's four figures, rounded, lie where those of 99 % of 40 of our runs do"
+        inside = (np.array(paper) >= ends.low - 0.5) & (np.array(paper) <= ends.high + 0.5)
+        yield claim("8", text, paper, rows[name], bool(inside.all()), ends)
     bases = ("B = 20 km", "B = 10 km", "B = 5 km", "B = 2 km")
     turn = [rows[name][2] for name in bases]
     yield claim("9", "the turn's RMSE [m] rises as the baseline falls from 20 to 10, 5 and 2 km", "rises", turn,

@@ -18,6 +18,7 @@ from passive_env.palette import BLUE, GREEN, GRID, INK, PURPLE, SERIES, VERMILIO
 
 LABELS = {FUSED: "IMM-MIE", RIVAL: "IMM of CV, CA, CA"}
 COLORS = {FUSED: BLUE, RIVAL: VERMILION}
+ERROR_TICKS = (10, 20, 50, 100, 200, 500)
 FIRST = 4
 """First scan drawn: before it the two-point start decides."""
 
@@ -55,7 +56,9 @@ def acceleration_picture(records: Mapping[str, Record], scenario: int, number: i
     figure, (above, below) = _figure(2)
     truth = paper_path(scenario).acceleration
     axis, word = (0, "eastward") if scenario == 1 else (1, "northward")
-    above.plot(_seconds(len(truth)), truth[FIRST:, axis], color=INK, linewidth=1.0, label="truth")
+    above.plot(
+        _seconds(len(truth)), truth[FIRST:, axis], color=INK, linewidth=1.0, drawstyle="steps-post", label="truth"
+    )
     for name, label in LABELS.items():
         record = records[name]
         above.plot(_seconds(len(truth)), record.acceleration.mean(0)[FIRST:, axis], color=COLORS[name], label=label)
@@ -83,7 +86,11 @@ def geometry_picture(trials: Trials) -> Figure:
         axes.plot(_seconds(len(rmse)), rmse[FIRST:], color=color, label=name)
     _dress(axes, 2, "Fixes of two passive stations, σ = 1 mrad, IMM-MIE", "position RMSE [m]")
     axes.set_yscale("log")
+    axes.set_yticks(ERROR_TICKS, [f"{tick:g}" for tick in ERROR_TICKS])
+    axes.minorticks_off()
     axes.set_xlabel("time [s]")
+    axes.get_legend().remove()
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9)
     return figure
 
 
