@@ -25,7 +25,7 @@ from trackers.angles import wrap
 BLOCK = 1024
 """Episodes flown at once."""
 
-BASELINES = ("paper", "rule", "rule_tuned", "rule_average", "greedy", "planner")
+BASELINES = ("paper", "fixed", "open", "rule", "rule_tuned", "rule_average", "greedy", "planner")
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3

@@ -123,6 +123,8 @@ class FixGreedy(Greedy):
         ValueError: as of `Greedy`.
     """
 
+    prediction: FixPrediction
+
     @property
     def legs(self) -> int:
         """Legs of a plan; every other one is a halt where there are more than one."""

@@ -21,7 +21,7 @@ from trackers.angles import wrap
 NARROWEST_RAD = math.radians(3.0)
 """The search never narrows below this spread per heading."""
 
-SPEED_SPREAD, WITHIN_SPREAD = 0.5, 0.5
+SPEED_SPREAD, WITHIN_SPREAD = 0.1, 0.1
 """Spread of the first round's speeds, as commands in [−1, 1], and of the angles [rad] outside which stations turn on
 the spot, about the best plan known."""
 
@@ -274,8 +274,14 @@ PLANNERS_IN_SPACE = {
 }
 """Makers (scenario, seed)."""
 
+FIX_SETTINGS: dict[str, Any] = {"segments": 3, "spread_deg": 30.0}
+"""Settings for stations whose bearings become fixes: what is to be found lies near the greedy plan."""
+
+FIX_HORIZON = 40
+"""Steps that they plan ahead: what a maneuvering target does later is anyone's guess."""
+
 FIX_SEARCHES = {
-    "planner": lambda scenario, seed: FixPlanner(scenario, seed=seed),
-    "oracle": lambda scenario, seed: FixOracle(scenario, seed=seed),
+    "planner": lambda scenario, seed: FixPlanner(scenario, horizon=FIX_HORIZON, seed=seed, **FIX_SETTINGS),
+    "oracle": lambda scenario, seed: FixOracle(scenario, seed=seed, **FIX_SETTINGS),
 }
 """Makers (scenario, seed) for stations whose bearings become fixes."""

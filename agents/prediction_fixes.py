@@ -178,7 +178,7 @@ class FixPrediction(Prediction):
     """
 
     criteria = CRITERIA_FIXES
-    usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_position_std", 0.0, 20, 16
+    usual_criterion, usual_guard_m, usual_horizon, usual_headings = "mean_log_position_std", 0.0, 20, 16
 
     def __init__(
         self, scenario: Any, criterion: str | None = None, guard_m: float | None = None, controls: str = "headings"
@@ -186,8 +186,10 @@ class FixPrediction(Prediction):
         if controls == "turns":
             raise ValueError("controls 'turns': stations that also choose their speed are steered by 'headings'")
         super().__init__(scenario, criterion, guard_m, controls)
-        self.slowest, self.measuring = (self._settings[at] for at in (4, 6))
-        self.stops_to_measure = self.measuring < self._settings[5]
+        top_speed, measuring_speed = self._settings[5:7]
+        self.stops_to_measure = measuring_speed < top_speed
+        if self.stops_to_measure:
+            self.usual_horizon = int(scenario.steps)  # a drive pays late
 
     def held(self, platforms: np.ndarray) -> np.ndarray:
         """Controls [e, 3 s]: hold the heading, at full speed."""

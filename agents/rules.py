@@ -133,6 +133,8 @@ class OpenBaseline:
         crossing_deg: above 0, at most 180.
         within_deg: a station whose course is farther from where it should head than this turns at its lowest speed, on
             the spot if that is 0; 180 never waits.
+        cross_deg: all stations go to the other side, crossing each other's way, where that saves more than this angle
+            of turns at first, summed over them; infinite never does.
         halt_every: all stations halt on every so-manieth step, to measure; None for never.
     Raises:
         ValueError: an angle or a number of steps outside its range.
@@ -140,7 +142,7 @@ class OpenBaseline:
 
     def __init__(
         self, scenario: Any, wide_deg: float, narrow_deg: float | None = None, crossing_deg: float = 90.0,
-        within_deg: float = 90.0, halt_every: int | None = None,
+        within_deg: float = 90.0, cross_deg: float = math.inf, halt_every: int | None = None,
     ):  # fmt: skip
         narrow_deg = wide_deg if narrow_deg is None else narrow_deg
         for name, angle in (("wide_deg", wide_deg), ("narrow_deg", narrow_deg), ("within_deg", within_deg)):
@@ -148,22 +150,30 @@ class OpenBaseline:
                 raise ValueError(f"{name} = {angle!r}: must lie in [0, 180]")
         if not 0.0 < crossing_deg <= 180.0:
             raise ValueError(f"crossing_deg = {crossing_deg!r}: must lie in (0, 180]")
+        if not cross_deg >= 0.0:
+            raise ValueError(f"cross_deg = {cross_deg!r}: must be at least 0")
         if halt_every is not None and halt_every < 1:
             raise ValueError(f"halt_every = {halt_every!r}: must be at least 1, or None")
         angles = np.radians([wide_deg, narrow_deg, crossing_deg, within_deg])
         self._wide, self._narrow, self._crossing, self._within = angles
-        self._steps, self._halt_every = scenario.steps, halt_every
+        self._cross, self._halt_every, self._steps = math.radians(cross_deg), halt_every, scenario.steps
         self._turn_per_step = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+        self._crossed = self._sides = np.empty((0, 1))
 
     def reset(self, belief: Belief) -> None:
-        """Nothing to remember."""
+        """Decide who crosses."""
+        sides = _outward(belief)
+        off = course(belief.platforms) - line_of_sight(belief.platforms, belief.mean)
+        turning, otherwise = (np.abs(wrap(side * self._wide - off)).sum(axis=1) for side in (sides, -sides))
+        self._crossed, self._sides = (turning - otherwise > self._cross)[:, None], -sides
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the angle of the moment at the limit; full speed until the stations stop."""
         sight = line_of_sight(belief.platforms, belief.mean)
         bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
         angle = self._wide + (self._narrow - self._wide) * bent
-        headings = sight + _outward(belief) * angle[:, None]
+        sides = np.where(self._crossed, self._sides, _outward(belief))
+        headings = sight + sides * angle[:, None]
         near = np.abs(wrap(headings - course(belief.platforms))) <= self._within
         driving = near & ~self._halts(belief)[:, None]
         turns = towards(headings, belief.platforms, self._turn_per_step)
@@ -340,16 +350,32 @@ IN_SPACE = {
 """Makers (scenario, seed) for two platforms in space. `rule` is the strongest found, `rule_60` holds the one angle that
 is best in the final error where platforms turn fast."""
 
-FULL_SPEED, BEST_OPENING = (80.0, 80.0, 90.0, 180.0), (85.0, 20.0, 70.0, 90.0)
-"""Angles of `OpenBaseline`, in its order."""
+OPENINGS = {
+    "open": (75.0, 75.0, 90.0, 180.0),
+    "rule_bend": (85.0, 20.0, 70.0, 90.0),
+    "rule_cross": (85.0, 20.0, 70.0, 90.0, 180.0),
+}
+"""Angles of `OpenBaseline`, in its order: outwards at full speed; turning on the spot and bending forward; the same and
+crossing. Best of grids in the mean position error while targets turn, the time-averaged one deciding where that differs
+by less than its luck, on seeds 500,000 and up, which no evaluation uses, 1,536 episodes per cell: one angle from 70° to
+90°; first angle 75–90°, last 0–30°, at 70° or 80°; crossing from 150°, 180° or 210°. Within a grid no cell is better
+by more than 0.6 % in either error."""
 
 
-def _opening(angles: tuple[float, ...]) -> Any:
+def _opening(name: str) -> Any:
     """A maker (scenario, seed); stations that measure only when slow halt on every other step."""
-    return lambda scenario, seed: OpenBaseline(
-        scenario, *angles, halt_every=2 if scenario.carrier == "ground" else None
-    )
+
+    def make(scenario: Any, seed: int) -> OpenBaseline:
+        return OpenBaseline(scenario, *OPENINGS[name], halt_every=2 if scenario.carrier == "ground" else None)
+
+    return make
 
 
-OPEN_BASELINE = {"open": _opening(FULL_SPEED), "rule": _opening(BEST_OPENING)}
-"""Makers (scenario, seed) for stations whose bearings become position fixes."""
+def _best_opening(scenario: Any, seed: int) -> OpenBaseline:
+    """Crossing pays for aircraft and targets that turn at any time; recorded ones turn less, and often at once."""
+    crosses = scenario.carrier == "aircraft" and scenario.course != "flights"
+    return _opening("rule_cross" if crosses else "rule_bend")(scenario, seed)
+
+
+OPEN_BASELINE = {"open": _opening("open"), "rule_bend": _opening("rule_bend"), "rule": _best_opening}
+"""Makers (scenario, seed) for stations whose bearings become position fixes; `rule` is the strongest found."""

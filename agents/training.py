@@ -39,7 +39,7 @@ from passive_env.vector_env import PassiveVectorEnv
 
 CHECKPOINT = "checkpoint.zip"
 EVALUATION_EPISODES = 256
-REFERENCES = ("paper", "rule")
+REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
 EVALUATION_SEED = 2_000_000_000

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.maneuver_metrics import HARDEST_M_S2
 from passive_env.maneuver_tape import ManeuverTape
 from trackers.angles import wrap_scalar
 from trackers.compiled import kernel
@@ -92,14 +93,25 @@ class AzimuthSensors:
         return self._reports(sighting, state, even, none, None)
 
     def report(self, sighting: ManeuverSighting, update: ManeuverUpdate) -> ManeuverReports:
-        """What a scan brought, by the tracker's own account."""
+        """What a scan brought, by the tracker's own account.
+
+        Raises:
+            ValueError: probabilities or detections of other shapes than the tracker's number of models makes them.
+        """
+        wanted = (*sighting.truth.shape[:2], self._tracker.models)
+        for name in ("model_probability", "detected"):
+            found = np.shape(getattr(update, name))
+            if found != wanted:
+                owner = type(self._tracker).__name__
+                raise ValueError(f"tracker {owner}: update() gave {name} of shape {found}, must be {wanted}")
         return self._reports(sighting, update.posterior, update.model_probability, update.detected, update.fixed)
 
     def info(self, reports: ManeuverReports) -> dict[str, Any]:
-        """What the tracker makes of the target's maneuvers."""
+        """What the tracker makes of the target's maneuvers; a diverged one's NaN reads 0."""
+        acceleration = np.clip(np.nan_to_num(reports.acceleration), -HARDEST_M_S2, HARDEST_M_S2)
         return {
-            "model_probability": reports.model_probability, "detected": reports.detected,
-            "acceleration": reports.acceleration, "fixed": reports.fixed,
+            "model_probability": np.nan_to_num(reports.model_probability), "detected": reports.detected,
+            "acceleration": acceleration, "fixed": reports.fixed,
         }  # fmt: skip
 
     def _reports(self, sighting: ManeuverSighting, state, probability, detected, fixed) -> ManeuverReports:

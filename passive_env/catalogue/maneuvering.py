@@ -81,7 +81,7 @@ class ManeuveringTarget(TrackingScenario):
         ("maneuver_min_s", "maneuver_max_s"),
         ("target_acceleration_min_m_s2", "target_acceleration_max_m_s2"),
         ("min_speed_m_s", "max_speed_m_s"),
-        ("min_speed_m_s", "ground_speed_m_s"),
+        ("range_floor_m", "range_cap_m"),
     )
 
     stations: int = integer(2, 2, 4, "number of stations")
@@ -135,6 +135,8 @@ class ManeuveringTarget(TrackingScenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.min_speed_m_s > self.top_speed_m_s:
+            raise self._error("min_speed_m_s", f"must not exceed ground_speed_m_s = {self.ground_speed_m_s}")
         if self.carrier == "ground" and self.min_speed_m_s > self.measuring_speed_m_s:
             raise self._error(
                 "min_speed_m_s", f"stations that never drive at measuring_speed_m_s = {self.measuring_speed_m_s} or "
