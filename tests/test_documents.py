@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 FAMILIES = {"Ownship": ROOT / "docs" / "ownship.md", "AngleFusion": ROOT / "docs" / "angle_fusion.md"}
 """Environments and the documents that describe them."""
-WITH_CODE = [ROOT / "README.md", *FAMILIES.values()]
+WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "imm_mie_trackers.md", *FAMILIES.values()]
 
 
 def blocks(document: Path) -> list[str]:
