@@ -214,7 +214,7 @@ class FixPlanner(Planner):
 
     _greedy: FixGreedy
 
-    def __init__(self, scenario: Any, segments: int = 4, **settings: Any):
+    def __init__(self, scenario: Any, *, segments: int = 4, **settings: Any):
         super().__init__(scenario, segments=max(segments, FixGreedy(scenario).legs), **settings)
 
     def known_plans(self, start: Situation, mean: np.ndarray, previous: Plan) -> Plan:
@@ -274,14 +274,19 @@ PLANNERS_IN_SPACE = {
 }
 """Makers (scenario, seed)."""
 
-FIX_SETTINGS: dict[str, Any] = {"segments": 3, "spread_deg": 30.0}
-"""Settings for stations whose bearings become fixes: what is to be found lies near the greedy plan."""
-
-FIX_HORIZON = 40
-"""Steps that they plan ahead: what a maneuvering target does later is anyone's guess."""
+FIX_SETTINGS: dict[str, Any] = {
+    "horizon": 25,
+    "segments": 3,
+    "samples": 16,
+    "elites": 4,
+    "replan_steps": 1,
+    "spread_deg": 30.0,
+}
+"""Settings for stations whose bearings become fixes: what a maneuvering target does later is anyone's guess, and what is
+to be found lies near the greedy plan."""
 
 FIX_SEARCHES = {
-    "planner": lambda scenario, seed: FixPlanner(scenario, horizon=FIX_HORIZON, seed=seed, **FIX_SETTINGS),
+    "planner": lambda scenario, seed: FixPlanner(scenario, seed=seed, **FIX_SETTINGS),
     "oracle": lambda scenario, seed: FixOracle(scenario, seed=seed, **FIX_SETTINGS),
 }
 """Makers (scenario, seed) for stations whose bearings become fixes."""

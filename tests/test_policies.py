@@ -10,11 +10,12 @@ from twin_worlds import fly, fly_twins
 
 from agents.fixed import Random, Schedule, Straight
 from agents.policy import Policy, make_policy, policy_names, sees_world
-from agents.rules import HoldOffSight, LeadLag, Split, TurnApart, Zigzag
+from agents.rules import HoldOffSight, LeadLag, OpenBaseline, Split, TurnApart, Zigzag
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.belief import Belief
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
@@ -23,6 +24,8 @@ from passive_env.kinematics import turn
 NAMES = policy_names(TwoStation())
 BELIEF_ONLY = [name for name in NAMES if not sees_world(make_policy(name, TwoStation()))]
 IN_SPACE = [name for name in policy_names(AngleFusion()) if not sees_world(make_policy(name, AngleFusion()))]
+FIXING = [name for name in policy_names(ManeuveringTarget()) if not sees_world(make_policy(name, ManeuveringTarget()))]
+GROUND = {"carrier": "ground", "stations": 3, "detection_probability": 0.8}
 MISSES = {"detection_probability": 0.7, "false_bearings_mean": 1.0}
 ROUGH = {"clutter_mean": 4.0, "availability0_min": 0.5, "availability1_min": 0.5, "detection_probability": 0.9}
 
@@ -257,6 +260,124 @@ def test_policies_in_space_known_by_name():
         make_policy("rule_tuned", AngleFusion())
 
 
+# ------------------------------------------------------------------------------------------------ stations that fix
+
+
+def stations_at(places, headings_deg, target, steps_left=70, speed=1e-6):
+    """Belief of one episode: stations at places [s, 2] km, a target that stands at [2] km."""
+    heading = np.radians(headings_deg)
+    velocity = speed * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    platforms = np.concatenate([1e3 * np.array(places), velocity], axis=-1)[None]
+    mean = np.array([[[*(1e3 * np.array(target)), 0.0, 0.0]]])
+    return Belief(
+        np.array([steps_left]), platforms, mean, np.eye(4)[None, None], None, None,
+        np.zeros((1, 2 * len(places))), None, np.empty((1, 0, 3)),
+    )  # fmt: skip
+
+
+def open_baseline(belief, *angles, turn_rate=5.0, **settings):
+    """Commands of `OpenBaseline`: turns [s], speeds [s]."""
+    policy = OpenBaseline(
+        SimpleNamespace(step_s=1.0, steps=70, max_turn_rate_deg_s=turn_rate, top_speed_m_s=250.0), *angles, **settings
+    )
+    policy.reset(belief)
+    return np.split(policy.act(belief, np.empty((1, 0)))[0], 2)
+
+
+def test_fixed_stations_stand_still():
+    scenario = ManeuveringTarget(steps=12, stations=3)
+    env = PassiveVectorEnv(scenario, num_envs=4, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    before, policy = env.world.platforms, make_policy("fixed", scenario)
+    policy.reset(env.belief())
+    for _ in range(12):
+        observation, *_ = env.step(policy.act(env.belief(), observation))
+    np.testing.assert_allclose(env.world.platforms, before, atol=1e-3)
+
+
+def test_opening_turns_the_left_station_left_and_the_right_one_right_of_their_lines_of_sight():
+    """Both look north at a target far off and head 2° off the wanted courses: 80° left, 80° right of the sight."""
+    belief = stations_at([[-1.0, 0.0], [1.0, 0.0]], [90.0 + 78.0, 90.0 - 78.0], [0.0, 1e5])
+    turns, speeds = open_baseline(belief, 80.0, 80.0)
+    np.testing.assert_allclose(turns, [0.4, -0.4], atol=1e-3)
+    np.testing.assert_allclose(speeds, 1.0)
+    exchanged = belief._replace(platforms=belief.platforms[:, ::-1])
+    np.testing.assert_allclose(open_baseline(exchanged, 80.0, 80.0)[0], [-0.4, 0.4], atol=1e-3)
+
+
+@pytest.mark.parametrize(("crossing", "angle"), [(0.0, 80.0), (30.0, 60.0), (60.0, 40.0), (90.0, 20.0), (150.0, 20.0)])
+def test_opening_bends_forward_as_the_lines_of_sight_cross(crossing, angle):
+    """From 80° at 0° to 20° at 90° and beyond; the target is 10 km north of two stations that see it so."""
+    half = 10.0 * math.tan(math.radians(0.5 * max(crossing, 1e-4)))
+    sight = np.array([90.0 - 0.5 * crossing, 90.0 + 0.5 * crossing])
+    belief = stations_at([[-half, 0.0], [half, 0.0]], sight + np.array([angle - 2.0, 2.0 - angle]), [0.0, 10.0])
+    np.testing.assert_allclose(open_baseline(belief, 80.0, 20.0, 90.0)[0], [0.4, -0.4], atol=1e-3)
+
+
+def test_opening_turns_on_the_spot_while_the_course_is_too_far_off():
+    belief = stations_at([[-1.0, 0.0], [1.0, 0.0]], [180.0 + 89.0, 0.0 - 91.0], [0.0, 1e5])
+    turns, speeds = open_baseline(belief, 90.0, 90.0)
+    np.testing.assert_allclose(turns, [-1.0, 1.0])
+    np.testing.assert_allclose(speeds, [1.0, -1.0])
+    np.testing.assert_allclose(open_baseline(belief, 90.0, 90.0, 90.0, 180.0)[1], 1.0)
+
+
+@pytest.mark.parametrize(("cross", "crosses"), [(0.0, True), (3.9, True), (4.1, False), (math.inf, False)])
+def test_opening_crosses_where_that_saves_turns(cross, crosses):
+    """Both head inwards, 170° off; the other side is 10° off: 160° or 32 s saved, 4 times the 8 s of the baseline."""
+    belief = stations_at([[-1.0, 0.0], [1.0, 0.0]], [10.0, 170.0], [0.0, 1e5])
+    commands = open_baseline(belief, 90.0, 90.0, 90.0, 90.0, cross)
+    np.testing.assert_allclose(commands, [[-1.0, 1.0], [1.0, 1.0]] if crosses else [[1.0, -1.0], [-1.0, -1.0]])
+
+
+def test_three_stations_open_to_both_sides_and_the_middle_one_to_the_side_it_heads_for():
+    for middle, side in ((100.0, 1.0), (80.0, -1.0)):
+        belief = stations_at([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]], [90.0, middle, 90.0], [0.0, 1e5])
+        np.testing.assert_allclose(open_baseline(belief, 80.0, 80.0)[0], [1.0, side, -1.0])
+
+
+def test_ground_stations_halt_on_every_other_step():
+    belief = stations_at([[-1.0, 0.0], [1.0, 0.0]], [180.0, 0.0], [0.0, 1e5])
+    speeds = [
+        open_baseline(belief._replace(steps_left=np.array([left])), 90.0, 90.0, halt_every=2)[1]
+        for left in (70, 69, 68, 67)
+    ]
+    np.testing.assert_allclose(speeds, np.repeat([[1.0], [-1.0], [1.0], [-1.0]], 2, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"wide_deg": 181.0}, "wide_deg = 181.0"), ({"narrow_deg": -1.0}, "narrow_deg = -1.0"),
+        ({"within_deg": math.nan}, "within_deg = nan"), ({"crossing_deg": 0.0}, "crossing_deg = 0.0"),
+        ({"cross": -1.0}, "cross = -1.0"), ({"cross": math.nan}, "cross = nan"),
+        ({"halt_every": 0}, "halt_every = 0"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_impossible_openings_are_errors(settings, message):
+    with pytest.raises(ValueError, match=message):
+        OpenBaseline(ManeuveringTarget(), **{"wide_deg": 80.0, **settings})
+
+
+@pytest.mark.parametrize(
+    ("fields", "crosses", "halt_every"),
+    [({}, True, None), ({"course": "flights"}, False, None), ({"carrier": "ground"}, True, 2)],
+)
+def test_the_opening_rule_suits_the_variant(fields, crosses, halt_every):
+    policy = make_policy("rule", ManeuveringTarget(**fields))
+    assert isinstance(policy, OpenBaseline)
+    assert (policy._cross < math.inf) == crosses
+    assert policy._halt_every == halt_every
+
+
+def test_policies_of_stations_that_fix_known_by_name():
+    offer = policy_names(ManeuveringTarget())
+    assert offer == ["fixed", "random", "open", "rule_bend", "rule", "greedy", "planner", "oracle"]
+    with pytest.raises(ValueError, match=r"unknown policy 'paper': ManeuveringTarget offers fixed, .*planner, oracle"):
+        make_policy("paper", ManeuveringTarget())
+
+
 # ------------------------------------------------------------------------------------------------ random
 
 
@@ -295,6 +416,7 @@ def test_random_commands_belong_to_the_episode_and_not_to_its_place_in_a_batch()
     [
         *((TwoStation, name, fields) for name in BELIEF_ONLY for fields in ({}, MISSES)),
         *((AngleFusion, name, fields) for name in IN_SPACE for fields in ({}, ROUGH)),
+        *((ManeuveringTarget, name, fields) for name in FIXING for fields in ({}, GROUND)),
     ],
 )
 def test_policies_depend_on_the_belief_only(monkeypatch, family, name, fields):
@@ -322,6 +444,7 @@ def test_policies_depend_on_the_belief_only(monkeypatch, family, name, fields):
     [
         *((TwoStation(targets=2, steps=4), name) for name in BELIEF_ONLY),
         *((AngleFusion(steps=4, **ROUGH), name) for name in IN_SPACE),
+        *((ManeuveringTarget(steps=4), name) for name in FIXING),
     ],
 )
 def test_policies_obey_the_protocol(scenario, name):
@@ -383,10 +506,32 @@ def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
 
 
 @pytest.mark.parametrize(
+    "fields",
+    [
+        {"actions": "discrete"}, {"course": "paper1"}, {"course": "paper2"}, {"course": "flights"}, {"steps": 1},
+        {"max_turn_rate_deg_s": 0.0}, {"stations": 4}, {"tracker": "imm3"}, {"standoff_m": 10e3}, GROUND,
+    ],
+    ids=str,
+)  # fmt: skip
+@pytest.mark.parametrize("name", FIXING)
+def test_every_policy_of_stations_that_fix_flies_every_kind_of_scenario(name, fields):
+    scenario = ManeuveringTarget(**{"steps": 5, **fields})
+    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    policy = make_policy(name, scenario)
+    policy.reset(env.belief())
+    for _ in range(scenario.steps):
+        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
+        assert action in env.action_space
+        observation, *_ = env.step(action)
+
+
+@pytest.mark.parametrize(
     ("scenario", "name"),
     [
         *((TwoStation(steps=6), name) for name in BELIEF_ONLY),
         *((AngleFusion(steps=6, **ROUGH), name) for name in IN_SPACE),
+        *((ManeuveringTarget(steps=6, **GROUND), name) for name in FIXING),
     ],
 )
 def test_a_policy_decides_row_by_row(scenario, name):
