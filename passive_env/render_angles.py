@@ -54,6 +54,8 @@ SENSOR_BOXES = ((0.735, 0.665, 0.245, 0.245), (0.735, 0.315, 0.245, 0.245))
 SENSOR_COLORS = (VERMILION, ORANGE)
 """Returns and gates of platform 0 and 1; the target and its track are blue."""
 Box = tuple[float, float, float, float]
+FARTHEST_ALTITUDE_KM = 30.0
+"""An estimate farther up or down does not stretch the side view."""
 FAINTEST = 0.12
 """Opacity of a return without weight."""
 
@@ -119,7 +121,7 @@ class AngleScene:
         """Show a world (a batch of one) with the platforms' trails [s, k, 3] m; the frame is the plan's."""
         step, look = int(world.step[0]), look_of(world, simulation)
         course = world.tape.targets[0, : step + 1, 0]
-        low, high = _altitudes(trails, course, world.estimate.mean[0, 0, 2])
+        low, high = _altitudes(trails, course, world.estimate.mean[0, 0, 2], world.estimate.cov[0, 0, 2, 2])
         radius, size = self._scenario.standoff_m, float(np.linalg.norm(frame.high - frame.low)) * 1e3
         rays = _lines(world.platforms[0], look.angles, size)
         edges = _gate_edges(look, world.platforms[0], self._scenario.gate, size)
@@ -210,7 +212,7 @@ class Panel:
         axes.tick_params(labelsize=8, colors=INK)
         axes.grid(True, color=GRID, linewidth=0.8)
         axes.set_axisbelow(True)
-        axes.set_xlabel("azimuth off prediction [°]", fontsize=8, color=INK, labelpad=1)
+        axes.set_xlabel("", fontsize=8, color=INK, labelpad=1)
         axes.set_ylabel("elevation [°]", fontsize=8, color=INK, labelpad=0)
         self._outline = axes.plot([], [], color=color, linestyle=":", linewidth=1.2)[0]
         self._returns = axes.scatter([], [], zorder=4)
@@ -224,8 +226,10 @@ class Panel:
         if look.centers is None:
             center, reach = (look.angles[s][valid][0] if valid.any() else np.zeros(2)), 2.0
             self._outline.set_data([], [])
+            self._axes.set_xlabel("azimuth off the return [°]")
         else:
             center = look.centers[s]
+            self._axes.set_xlabel("azimuth off prediction [°]")
             reach = 1.15 * np.degrees(math.sqrt(self._gate * np.diagonal(look.covs[s]).max()))
             outline = np.degrees(ellipses(np.zeros(2), look.covs[s] * (self._gate / ELLIPSE_STD**2)))
             self._outline.set_data(*outline.T)
@@ -238,20 +242,27 @@ class Panel:
         self._truth.set_data(*np.degrees(wrap(direction - center))[:, None])
         self._axes.set_xlim(-reach, reach)
         self._axes.set_ylim(-reach, reach)
-        seen = f"{int(valid.sum())} returns, missed {1.0 - weights.sum():.2f}" if valid.any() else "nothing received"
-        self._head.set_text(f"P{s}: {seen}")
+        self._head.set_text(f"P{s}: {_seen(int(valid.sum()), weights.sum())}")
+
+
+def _seen(returns: int, weight: float) -> str:
+    """Head of a panel: number of returns, and the probability that none of them is the target's."""
+    if not returns:
+        return "nothing received"
+    return f"{returns} return{'s' if returns > 1 else ''}, missed {abs(round(1.0 - weight, 2)):.2f}"
 
 
 def _faded(color: str, weight: float) -> tuple[str, float]:
     return color, float(np.clip(FAINTEST + (1.0 - FAINTEST) * weight, 0.0, 1.0))
 
 
-def _altitudes(trails: Any, course: Any, estimate_m: float) -> tuple[float, float]:
-    """Limits [km] of the side view: platforms, target and, unless far off, the estimate."""
+def _altitudes(trails: Any, course: Any, estimate_m: float, variance_m2: float) -> tuple[float, float]:
+    """Limits [km] of the side view: platforms, target and, unless far off, the estimate's ellipse."""
     values = 1e-3 * np.concatenate([trails[..., 2].ravel(), course[:, 2]])
-    estimate = 1e-3 * estimate_m
-    if abs(estimate) < 30.0:  # NaN compares False
-        values = np.append(values, estimate)
+    reach = 1e-3 * ELLIPSE_STD * math.sqrt(max(variance_m2, 0.0)) if math.isfinite(variance_m2) else 0.0
+    for end in (1e-3 * estimate_m - reach, 1e-3 * estimate_m + reach):
+        if abs(end) < FARTHEST_ALTITUDE_KM:  # NaN compares False
+            values = np.append(values, end)
     return min(values.min() - 1.0, 0.0), max(values.max() + 1.0, 10.0)
 
 

@@ -6,6 +6,8 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from scipy.stats import binom, chi2, kstest, norm, poisson
 
 from agents.evaluation import fly as fly_policy
@@ -17,7 +19,8 @@ from passive_env.catalogue.angle_fusion import PAPER_PLATFORMS, PAPER_TARGET, An
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
 from passive_env.kinematics import turn_and_climb
-from passive_env.render_angles import look_of
+from passive_env.render import Frame
+from passive_env.render_angles import AngleScene, look_of
 from tests.twin_worlds import SHIFT, fly_twins, shift
 from trackers import ANGLE_TRACKERS, AngleEkf, AnglePdaf
 from trackers.angle_pdaf import MAX_RETURNS
@@ -728,6 +731,36 @@ def test_a_diverged_track_still_gives_a_picture():
     assert picture(env).shape == (800, 800, 3)
 
 
+def scene_after(steps, **fields):
+    """The scene of a flight's last world, and that world."""
+    simulation, worlds = flown(1, steps, [0.6, -0.6, 0.0, 0.0], **fields)
+    figure = Figure()
+    FigureCanvasAgg(figure)
+    scene = AngleScene(figure, simulation.scenario)
+    trails = np.stack([world.platforms[0, :, :3] for world in worlds], axis=1)
+    scene.update(worlds[-1], trails, Frame(np.full(2, -50.0), np.full(2, 50.0)), simulation)
+    return scene, worlds[-1]
+
+
+def test_pictures_head_panels_with_what_was_received():
+    heads = [panel._head.get_text() for panel in scene_after(0)[0]._panels]
+    assert heads == ["P0: 1 return, missed 0.00", "P1: 1 return, missed 0.00"]
+    scene, world = scene_after(3, clutter_mean=8.0, availability1_min=0.0, availability1_max=0.0)
+    count, missed = world.reports.scan.valid[0, 0].sum(), world.reports.missed[0, 0, 0]
+    heads = [panel._head.get_text() for panel in scene._panels]
+    assert heads == [f"P0: {count} returns, missed {missed:.2f}", "P1: nothing received"]
+
+
+def test_the_side_view_holds_platforms_target_and_the_estimates_ellipse():
+    scene, world = scene_after(1)
+    low, high = scene._side.axes.get_ylim()
+    vertices = scene._side._ellipse.get_paths()[0].vertices[:, 1]
+    assert low <= vertices.min()
+    assert vertices.max() <= high
+    for height_m in (*world.platforms[0, :, 2], world.truth[0, 0, 2]):
+        assert low < 1e-3 * height_m < high
+
+
 def test_weights_in_the_picture_are_the_trackers():
     """What the sensors' weights lack of 1 is the tracker's own weight of a miss, computed by its kernel."""
     simulation, worlds = flown(12, 8, clutter_mean=5.0, detection_probability=0.8, availability1_min=0.6)
@@ -764,8 +797,8 @@ def test_weights_in_the_picture_are_the_trackers():
         ({"baseline_min_m": 9.5e3}, "must not exceed baseline_max_m"),
         ({"altitude_floor_m": 5.5e3}, "must not exceed platform_altitude_min_m"),
         ({"altitude_ceiling_m": 7e3}, "must not exceed altitude_ceiling_m"),
-        ({"range_floor_m": 2e5}, "range_floor_m = 200000.0: must not exceed range_cap_m"),
-        ({"range_floor_m": 1e5}, "cap_m 100000.0: must be finite and above floor_m"),
+        ({"range_floor_m": 2e5}, "range_floor_m = 200000.0: must lie below range_cap_m = 100000.0"),
+        ({"range_floor_m": 1e5}, "range_floor_m = 100000.0: must lie below range_cap_m"),
         ({"detection_probability": 0.0}, "detection_probability"),
         ({"tracker": "rp_ekf"}, "tracker = 'rp_ekf': must be one of 'angle_ekf'"),
         ({"tracker": "angle_pdaf_sequential", "outlier_test": "conditioned"}, "outlier_test"),

@@ -11,14 +11,17 @@ import pytest
 import torch
 
 from agents import benchmark
-from agents.benchmark import MEASUREMENTS, clutter, filters, run_benchmark
+from agents.benchmark import MEASUREMENTS, clutter, filters, maneuvers, run_benchmark
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, meets
 from agents.benchmark.timing import QUICK, Effort, take_turns
 from agents.cli import main
 from agents.planner import Planner
-from trackers import AnglePdafSequential, Gaussian, measurement
+from trackers import AnglePdafSequential, Gaussian, ImmMie, measurement
 from trackers.association import PRUNED
 from trackers.compiled import Blocks
+from trackers.imm import ImmState, imm_predict, imm_update
+from trackers.motion import process_noise, transition
+from trackers.position_fix import fix_bearings
 
 TINY = Effort(rounds=1, batches=1, single_updates=2, num_envs=8, episodes=1, rollouts=1, ppo_envs=4)
 CHEAP = ("bearing updates", "Table 1 Monte Carlo", "resets", "single environment", "memory")
@@ -82,6 +85,7 @@ def test_every_goal_in_use_can_be_read(sections):
     assert goals["ppo_steps"] == ">= 20000"
     assert goals["ppo_environment_share"] == "<= 20"
     assert goals.get("stone_soup_pda_scan_over_ours", ">= 300") == ">= 300"
+    assert goals.get("filterpy_imm_step_over_ours", ">= 50") == ">= 50"
 
 
 def test_figures_are_positive_numbers_with_unique_names(sections):
@@ -240,6 +244,42 @@ def test_scenes_hold_what_they_promise():
         scene = clutter.make_scene(returns, 20)
         update = AnglePdafSequential(gate=clutter.GAMMA).update(scene.state, scene.scan)
         np.testing.assert_array_equal(update.validated[..., 0], returns)
+
+
+def test_filterpys_imm_is_an_imm_like_ours():
+    """The step it is timed at gives the means of our general IMM with the same two models."""
+    pytest.importorskip("filterpy")
+    chase = maneuvers.make_chase(5)
+    first, last = (fix_bearings(*chase.scans[k]) for k in (0, -1))
+    mean, cov = np.zeros((5, 2, 4)), np.zeros((5, 2, 4, 4))
+    mean[..., :2] = last.position[:, None]
+    cov[..., :2, :2] = first.cov[:, None]
+    cov[..., 2:, 2:] = 200.0**2 * np.eye(2)
+    F = np.broadcast_to(transition(maneuvers.STEP_S), (2, 4, 4))
+    Q = np.stack([process_noise(maneuvers.STEP_S, noise) for noise in maneuvers.NOISE_M_S2])
+    prior = imm_predict(ImmState(mean, cov, np.full((5, 2), 0.5)), maneuvers.CHAIN, F, Q)
+    ours, *_ = imm_update(prior, last.position, last.cov)
+    theirs = np.array(maneuvers.filterpy_imm_steps(chase, 5)())
+    np.testing.assert_allclose(theirs, (ours.probability[..., None] * ours.mean).sum(-2), rtol=1e-9, atol=1e-6)
+
+
+def test_half_of_the_timed_targets_are_maneuvering():
+    chase = maneuvers.make_chase(200)
+    tracker = ImmMie()
+    state = maneuvers.followed(tracker, chase)
+    detected = tracker.update(tracker.predict(state, maneuvers.STEP_S), chase.scans[-1]).detected.any(-1)
+    assert detected[::2].mean() > 0.8
+    assert detected[1::2].mean() < 0.2
+
+
+def test_missing_filterpy_leaves_out_its_imm(monkeypatch):
+    def refuse(name):
+        raise ImportError(f"No module named {name!r}")
+
+    monkeypatch.setattr(maneuvers, "import_module", refuse)
+    section = maneuvers.measure_maneuvers(TINY)
+    assert [result.name for result in section.results] == ["imm_mie_step", "imm3_step"]
+    assert "pip install passive-env[bench]" in section.notes[0]
 
 
 def test_missing_stone_soup_leaves_out_its_pda(monkeypatch):

@@ -25,7 +25,7 @@ FAMILIES = {
     "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
 }
 """Environments and the documents that describe them."""
-WITH_CODE = [ROOT / "README.md", *FAMILIES.values()]
+WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "imm_mie_trackers.md", *FAMILIES.values()]
 
 
 def blocks(document: Path) -> list[str]:

@@ -26,6 +26,7 @@ VARIANTS = (
     {"bearings": "reference"},
     {"detection_probability": 0.7, "false_bearings_mean": 2.0},
     {"actions": "discrete"},
+    {"actions": "headings"},
     {"standoff_m": 5000.0},
     {"targets": 1},
     {"targets": 6},

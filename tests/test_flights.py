@@ -7,6 +7,7 @@ import math
 from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from importlib import resources
+from itertools import pairwise
 
 import numpy as np
 import pymap3d
@@ -320,6 +321,19 @@ def test_window_starts_equal_a_loop(library):
     for start, stop in zip(paths.flight_start[:-1], paths.flight_start[1:], strict=True):
         expected += [row for row in range(start, stop) if row + steps < stop]
     np.testing.assert_array_equal(paths.window_starts(steps), expected)
+
+
+@pytest.mark.parametrize("turning_s", [0.0, 4.0, 11.0])
+def test_turning_starts_equal_a_loop(turning_s):
+    paths = load_flights().split("test").resample(2.0)
+    turning, expected = paths.turning_starts(20, 2.0, turning_s), []
+    for start in paths.window_starts(20)[::7]:
+        velocity = paths.states[start : start + 21, 3:5]
+        hard = sum(math.dist(a, b) / 2.0 > 2.0 for a, b in pairwise(velocity))
+        if 2.0 * hard >= turning_s:
+            expected.append(start)
+    assert expected
+    assert np.array_equal(turning[np.isin(turning, paths.window_starts(20)[::7])], expected)
 
 
 def test_windows_equal_a_loop(library):

@@ -358,7 +358,7 @@ def test_imm_with_an_asymmetric_chain(d):
     for _ in range(6):
         z, R = rng.normal(0.0, 40.0, d), random_cov(rng, d, 60.0)
         x, P, mu, evidence = reference_imm(x, P, mu, chain, F, Q, z, R)
-        state, log_likelihood, nu, S = imm_update(imm_predict(state, chain, F, Q), z, R)
+        state, log_likelihood, _, _ = imm_update(imm_predict(state, chain, F, Q), z, R)
         np.testing.assert_allclose(state.mean, x, rtol=1e-9, atol=1e-8)
         np.testing.assert_allclose(state.cov, P, rtol=1e-8, atol=1e-7)
         np.testing.assert_allclose(state.probability, mu, rtol=1e-8)
@@ -411,7 +411,7 @@ def test_four_bearings_agree_with_a_general_solver():
     stations = np.array([[0.0, 0.0], [3e3, 500.0], [-2e3, 1e3], [1e3, -4e3]])
     std = np.array([0.01, 0.02, 0.005, 0.03])
     for _ in range(20):
-        target = rng.uniform(-2e4, 2e4, 2) + [0.0, 4e4]
+        target = rng.uniform(-2e4, 2e4, 2) + np.array([0.0, 4e4])
         z = bearing(target, stations) + std * rng.standard_normal(4)
         fix = fix_bearings(z, np.ones(4, bool), stations, std)
 
@@ -425,7 +425,7 @@ def test_four_bearings_agree_with_a_general_solver():
 
 
 def test_jacobians_by_differences():
-    """Specification: 1e-9 relative. Complex-step-free central differences at steps that balance the two errors."""
+    """Specification: 1e-9 relative; extrapolated central differences."""
     p, step = np.array([21.0e3, -7.0e3, 3.0e3]), 10.0
     stations = np.array([[0.0, 0.0, 0.0], [4e3, 5e3, 200.0]])
     shifts = step * np.eye(3)
@@ -484,7 +484,7 @@ def test_shared_timing_error_counts():
     )
     np.testing.assert_allclose(every.cov, np.linalg.inv(J.T @ np.linalg.inv(noise) @ J), rtol=1e-8)
     two = fix_range_sums(
-        sums + [0.0, 1e6, 0.0], np.array([True, False, True]), transmitter, receivers, noise, p + 200.0
+        sums + np.array([0.0, 1e6, 0.0]), np.array([True, False, True]), transmitter, receivers, noise, p + 200.0
     )
     J2, W2 = J[[0, 2]], np.linalg.inv(noise[np.ix_([0, 2], [0, 2])])
     np.testing.assert_allclose(two.position, p, atol=1e-4)
@@ -604,7 +604,7 @@ def test_batch_equals_loop_and_may_be_empty(name):
 
 @pytest.mark.parametrize("name", MANEUVER_TRACKERS)
 def test_a_scan_without_a_fix_lets_the_track_coast(name):
-    """Fewer than two bearings, or lines that do not cross: prediction stays, nothing is detected anew, all is finite."""
+    """Fewer than two bearings, or lines that do not cross: prediction stays, all is finite."""
     scans, _ = straight_scans(np.random.default_rng(5), steps=10)
     tracker = MANEUVER_TRACKERS[name]()
     state = tracker.initiate(scans[0])

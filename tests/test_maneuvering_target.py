@@ -266,6 +266,23 @@ def test_discrete_actions_are_three_of_every_rate_and_speed():
     assert np.array_equal(observed, expected)
 
 
+def test_a_constant_heading_opens_the_baseline_at_full_speed():
+    """60° outwards off each line of sight: once the turns are over, both fly there, on opposite sides."""
+    env = PassiveVectorEnv(NAME, 20, "disabled", threads=1, actions="headings")
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step(np.tile([1 / 3, 1 / 3, 1.0, 1.0], (20, 1)))
+    platforms, mean = env.world.platforms, env.world.estimate.mean[:, 0]
+    sight = mean[:, None, :2] - platforms[..., :2]
+    off = wrap(
+        np.arctan2(platforms[..., 3], platforms[..., 2]) - np.arctan2(sight[..., 1], sight[..., 0])
+    )  # the line of sight has moved by less than 5° since the action
+    np.testing.assert_allclose(np.sort(np.degrees(off), axis=1), np.tile([-60.0, 60.0], (20, 1)), atol=5.0)
+    np.testing.assert_allclose(np.hypot(platforms[..., 2], platforms[..., 3]), 250.0)
+    gap = platforms[:, 0, :2] - platforms[:, 1, :2]
+    assert (np.hypot(*gap.T) > 5e3).all()
+
+
 # ------------------------------------------------------------------------------------------------ azimuths, fixes
 
 
@@ -806,6 +823,13 @@ def test_a_diverged_track_and_a_scan_without_a_fix_still_give_a_picture():
 def test_bad_values_are_errors_that_name_field_value_and_what_is_right(fields, message):
     with pytest.raises(ValueError, match=message):
         make_scenario(NAME, fields)
+
+
+def test_a_baseline_longer_than_the_range_is_allowed_where_nobody_must_stand_off():
+    _, worlds = flown(20, 3, GO, baseline_m=40e3)
+    assert np.isfinite([world.metrics.position_error_m for world in worlds]).all()
+    with pytest.raises(ValueError, match="stations may start 0 m from the target"):
+        make_scenario(NAME, {"baseline_m": 40e3, "standoff_m": 1.0})
 
 
 def test_recorded_flights_that_never_turn_so_long_are_an_error():

@@ -407,7 +407,7 @@ class AnglePdafSequential(AnglePdaf):
     def __post_init__(self):
         super().__post_init__()
         if self.outlier_test is not None:
-            raise ValueError(f"outlier_test {self.outlier_test!r}: must be None, sensors are not compared here")
+            raise ValueError(f"outlier_test {self.outlier_test!r}: sensors are not compared, one follows the other")
 
     def update(self, state: Gaussian, scan: AngleScan) -> AngleUpdate:
         """Weigh the returns of every sensor in turn."""

@@ -24,7 +24,7 @@ from trackers.measurement import MIN_RANGE_SQUARED
 from trackers.triangulation_3d import fix_3d
 
 ITERATIONS = 25
-SETTLED = 1e-6
+SETTLED = 1e-12
 """Squared length of a step, in standard deviations, at which the iteration ends."""
 
 MAX_CONDITION = 1e12

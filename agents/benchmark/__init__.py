@@ -15,16 +15,17 @@ from tqdm import tqdm
 from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
     measure_decisions,
-    measure_maneuvers,
     measure_memory,
     measure_one_platform,
     measure_resets,
     measure_single,
+    measure_stations,
     measure_two_aircraft,
     measure_vector,
 )
 from agents.benchmark.filters import measure_monte_carlo, measure_rivals, measure_updates
 from agents.benchmark.learning import measure_ppo
+from agents.benchmark.maneuvers import measure_maneuvers
 from agents.benchmark.results import Result, Section, as_json, as_markdown, machine, write_benchmark
 from agents.benchmark.timing import FULL, QUICK, Effort
 from agents.files import make_folder
@@ -34,10 +35,11 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "other libraries": measure_rivals,
     "Table 1 Monte Carlo": measure_monte_carlo,
     "false returns": measure_clutter,
+    "maneuvering target": measure_maneuvers,
     "vector environment": measure_vector,
     "one platform": measure_one_platform,
     "two aircraft": measure_two_aircraft,
-    "maneuvering target": measure_maneuvers,
+    "stations": measure_stations,
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,

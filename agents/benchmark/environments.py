@@ -50,7 +50,7 @@ def measure_two_aircraft(effort: Effort) -> Section:
     return Section(_rates(tasks, effort, clean.steps, goals))
 
 
-def measure_maneuvers(effort: Effort) -> Section:
+def measure_stations(effort: Effort) -> Section:
     """Environment steps per second against a maneuvering target, windows as in `measure_vector`."""
     wide = {"": _begun(effort, None, MANEUVERS), "_one_thread": _begun(effort, 1, MANEUVERS)}
     tasks = {f"maneuvers_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}

@@ -7,7 +7,7 @@ Range is measured from platform 0, the paper's P1, where the fusion centre is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,7 +18,7 @@ from passive_env.angle_metrics import AngleFigures
 from passive_env.angle_observation import AngleObservation
 from passive_env.angle_sensors import AngleSensors, Clutter
 from passive_env.angle_tape import AngleReturnModel, AngleTape, angle_returns
-from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
+from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import turn_and_climb
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import draw
@@ -68,13 +68,13 @@ class AngleFusion(TrackingScenario):
 
     stations: ClassVar[int] = 2
     """Number of platforms; platform 0 is the reference."""
+    trackers: ClassVar[Mapping[str, Any]] = ANGLE_TRACKERS
     reference: ClassVar[int] = 0
     targets: ClassVar[int] = 1
     score: ClassVar[str] = "position"
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
         ("baseline_min_m", "baseline_max_m"),
         ("range_min_m", "range_max_m"),
-        ("range_floor_m", "range_cap_m"),
         ("target_speed_min_m_s", "target_speed_max_m_s"),
         ("target_altitude_min_m", "target_altitude_max_m"),
         ("platform_altitude_min_m", "platform_altitude_max_m"),
@@ -149,7 +149,6 @@ class AngleFusion(TrackingScenario):
                 f"{2 * self.clutter_window_deg:g}° are more than {MOST_FALSE}; lower it or clutter_window_deg",
             )
         self._check_standoff()
-        self.make_tracker()
 
     def _check_standoff(self) -> None:
         """Refuse layouts in which a platform may start inside the target's stand-off sphere."""
@@ -163,29 +162,17 @@ class AngleFusion(TrackingScenario):
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
 
-    def make_tracker(self) -> AngleTracker:
-        """The tracker object; a name is made with this scenario's settings.
-
-        Raises:
-            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
-        """
-        if not isinstance(self.tracker, str):
-            return checked_tracker(self.tracker)
-        if self.tracker not in ANGLE_TRACKERS:
-            raise self._error("tracker", f"must be one of {', '.join(map(repr, ANGLE_TRACKERS))}")
-        make: Any = ANGLE_TRACKERS[self.tracker]
-        return make(
-            process_noise=self.process_noise_m_s2,
-            gate=self.gate,
-            fused_gate=self.fused_gate,
-            detection_probability=self.detection_probability,
-            clutter_known=self.clutter_known,
-            outlier_test=None if self.outlier_test == "off" else self.outlier_test,
-            floor_m=self.range_floor_m,
-            cap_m=self.range_cap_m,
-            second_order=self.second_order,
-            reinitiate=self.reinitiate,
-        )
+    @property
+    def tracker_settings(self) -> dict[str, Any]:
+        """Keywords of the named tracker."""
+        same = ("gate", "fused_gate", "detection_probability", "clutter_known", "second_order", "reinitiate")
+        return {
+            **{name: getattr(self, name) for name in same},
+            "floor_m": self.range_floor_m,
+            "cap_m": self.range_cap_m,
+            "process_noise": self.process_noise_m_s2,
+            "outlier_test": None if self.outlier_test == "off" else self.outlier_test,
+        }
 
     def make_actions(self) -> Continuous | Discrete:
         """Action codec: turn rates of all platforms, then climb rates."""

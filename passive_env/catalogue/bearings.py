@@ -7,14 +7,14 @@ and how the targets move (`BearingScenario.draw_courses`); the rest is here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from passive_env.actions import Continuous, Discrete
-from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
+from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import turn
 from passive_env.metrics import BearingMetrics
 from passive_env.observations import TrackObservation
@@ -48,6 +48,7 @@ class BearingScenario(TrackingScenario):
 
     stations: ClassVar[int]
     """Number of platforms; the last one is the reference."""
+    trackers: ClassVar[Mapping[str, Any]] = TRACKERS
     bearings: ClassVar[str] = "all"
     """Whose bearings the filter uses after the first scan; a field where there is a choice."""
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -77,12 +78,6 @@ class BearingScenario(TrackingScenario):
     actions: str = choice("continuous", ("continuous", "discrete"), "Box turn rates, or 3 turn rates per station")
     reward_nogo: float = number(1.0, 0.0, 1e6, "weight; counts only where there are no-go discs")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.range_floor_m >= self.range_cap_m:
-            raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
-        self.make_tracker()
-
     # -- what each scenario draws ------------------------------------------------------------------------------------
 
     @property
@@ -101,30 +96,21 @@ class BearingScenario(TrackingScenario):
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
 
-    def make_tracker(self) -> Tracker:
-        """The tracker object; a name is made with this scenario's settings.
-
-        Raises:
-            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
-        """
-        if not isinstance(self.tracker, str):
-            return checked_tracker(self.tracker)
-        if self.tracker not in TRACKERS:
-            raise self._error("tracker", f"must be one of {', '.join(map(repr, TRACKERS))}")
+    @property
+    def tracker_settings(self) -> dict[str, Any]:
+        """Keywords of the named tracker."""
         names = () if self.tracker == "fused_ekf" else ("hypotheses", "prune_below", "merge_below", "second_order")
-        settings: dict[str, Any] = {name: getattr(self, name) for name in names}
-        model = AssociationModel(
-            detection_probability=self.detection_probability,
-            false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
-        )
-        return TRACKERS[self.tracker](
-            floor_m=self.range_floor_m,
-            cap_m=self.range_cap_m,
-            process_noise=self.process_noise_m_s,
-            reference_only=self.bearings == "reference",
-            model=model,
-            **settings,
-        )
+        return {
+            **{name: getattr(self, name) for name in names},
+            "floor_m": self.range_floor_m,
+            "cap_m": self.range_cap_m,
+            "process_noise": self.process_noise_m_s,
+            "reference_only": self.bearings == "reference",
+            "model": AssociationModel(
+                detection_probability=self.detection_probability,
+                false_bearing_density=self.false_bearings_mean / (2.0 * math.pi),
+            ),
+        }
 
     def make_actions(self) -> Continuous | Discrete:
         """Action codec, one turn rate per station."""

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from passive_env.actions import Continuous, Discrete
+from passive_env.actions import Continuous, Discrete, Headings
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
@@ -31,6 +31,8 @@ from trackers import MANEUVER_TRACKERS
 from trackers.compiled import kernel
 from trackers.fix_contract import ManeuverTracker
 from trackers.imm_mie import MIXINGS, ImmMie
+
+ACTIONS = ("continuous", "headings", "discrete")
 
 START_UNIFORMS = 6
 """Uniform numbers of an episode's start besides the stations' headings: line of sight, range, tilt of the baseline,
@@ -65,9 +67,9 @@ class ManeuveringTarget(TrackingScenario):
     station has its speed from the step's beginning on and may turn on the spot. With carrier "ground" a station
     measures only after a step driven at ``measuring_speed_m_s`` at most; a scan of fewer than two azimuths has no fix.
     Observation: `passive_env.maneuver_observation.ManeuverObservation`.
-    info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``maneuvering``,
-        ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and ``detected``, each
-        [1, models].
+    info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``fix_error_m``,
+        ``maneuvering``, ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and
+        ``detected``, each [1, models].
     Bound: for a target of constant velocity that a white acceleration of ``bound_acceleration_m_s2`` per axis and step
         disturbs, known to 200 m/s per axis at first.
     """
@@ -123,7 +125,7 @@ class ManeuveringTarget(TrackingScenario):
     bound_acceleration_m_s2: float = number(10.0, 0.0, 500.0, "acceleration the Cramér–Rao bound's target has")
     lost_error_m: float = number(1e3, 1.0, 1e6, "a track is lost if farther off than this …")
     lost_nees: float = number(23.5, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 4 degrees)")
-    actions: str = choice("continuous", ("continuous", "discrete"), "Box rates and speeds, or 3 of each per station")
+    actions: str = choice("continuous", ACTIONS, "Box of rates, of headings (speeds in either), or 3 of each kind")
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_position_error: float = number(0.0, 0.0, 1e6, "weight")
@@ -156,7 +158,7 @@ class ManeuveringTarget(TrackingScenario):
         """Lower limit of the distance of a station from the target at first."""
         if self.course in PAPER_VELOCITY_M_S:
             return math.hypot(max(PAPER_MIDDLE_M[0] - 0.5 * self.baseline_m, 0.0), PAPER_MIDDLE_M[1])
-        return self.range_min_m - 0.5 * self.baseline_m
+        return max(self.range_min_m - 0.5 * self.baseline_m, 0.0)
 
     @property
     def top_speed_m_s(self) -> float:
@@ -199,8 +201,10 @@ class ManeuveringTarget(TrackingScenario):
         return tracker
 
     def make_actions(self) -> Continuous | Discrete:
-        """Action codec: turn rates of all stations, then speeds."""
+        """Action codec: turn rates of all stations, or headings to turn to, then speeds."""
         odd = [True] * self.stations + [False] * self.stations
+        if self.actions == "headings":
+            return Headings(len(odd), self.stations, math.radians(self.max_turn_rate_deg_s) * self.step_s, odd)
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> ManeuverObservation:

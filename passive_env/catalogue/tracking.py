@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -22,6 +23,9 @@ class TrackingScenario(Scenario):
     ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Pairs of fields of which the first must not exceed the second."""
 
+    trackers: ClassVar[Mapping[str, Any]] = {}
+    """Makers of the family's trackers by name."""
+
     score: ClassVar[str] = "range"
     """The error that policies are compared by: "range", from the reference, or "position"."""
     reference: ClassVar[int] = -1
@@ -30,6 +34,9 @@ class TrackingScenario(Scenario):
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
     step_s: float = number(2.0, 0.1, 60.0, "time between scans")
+    tracker: Any = free(None, "name of a tracker, or an object with the tracker contract")
+    range_floor_m: float = number(5e3, 1.0, 1e7, "nearest range the tracker looks for a target at first")
+    range_cap_m: float = number(2e5, 1.0, 1e7, "farthest")
     max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
     standoff_m: float = number(0.0, 0.0, 1e5, "distance platforms should keep from targets; 0 for none")
     flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
@@ -54,9 +61,29 @@ class TrackingScenario(Scenario):
             raise self._error("flights", "must be the path of a file, or None")
         if self.flights is not None and self.course != "flights":
             raise self._error("flights", f"is not used with course={self.course!r}; add course='flights'")
+        if self.range_floor_m >= self.range_cap_m:
+            raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
+        self.make_tracker()
 
     def _error(self, field: str, allowed: str) -> ValueError:
         return ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: {allowed}")
+
+    def make_tracker(self) -> Any:
+        """The tracker object; a name is made with this scenario's settings.
+
+        Raises:
+            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
+        """
+        if not isinstance(self.tracker, str):
+            return checked_tracker(self.tracker)
+        if self.tracker not in self.trackers:
+            raise self._error("tracker", f"must be one of {', '.join(map(repr, self.trackers))}")
+        return self.trackers[self.tracker](**self.tracker_settings)
+
+    @property
+    def tracker_settings(self) -> dict[str, Any]:
+        """Keywords of the named tracker."""
+        raise NotImplementedError
 
     @cached_property
     def reward_weights(self) -> dict[str, float]:

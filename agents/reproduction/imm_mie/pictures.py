@@ -18,6 +18,7 @@ from passive_env.palette import BLUE, GREEN, GRID, INK, PURPLE, SERIES, VERMILIO
 
 LABELS = {FUSED: "IMM-MIE", RIVAL: "IMM of CV, CA, CA"}
 COLORS = {FUSED: BLUE, RIVAL: VERMILION}
+ERROR_TICKS = (10, 20, 50, 100, 200, 500)
 FIRST = 4
 """First scan drawn: before it the two-point start decides."""
 
@@ -83,9 +84,12 @@ def geometry_picture(trials: Trials) -> Figure:
     for name, color in zip(names, SERIES, strict=True):
         rmse = trials.geometry[name][1][FUSED].rmse()
         axes.plot(_seconds(len(rmse)), rmse[FIRST:], color=color, label=name)
-    _dress(axes, 2, "Fixes of two passive stations, σ = 1 mrad, IMM-MIE", "position RMSE [m]")
+    _dress(axes, 2, "Fixes of two passive stations, σ = 1 mrad, IMM-MIE", "position RMSE [m]", legend=False)
     axes.set_yscale("log")
+    axes.set_yticks(ERROR_TICKS, [f"{tick:g}" for tick in ERROR_TICKS])
+    axes.minorticks_off()
     axes.set_xlabel("time [s]")
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9)
     return figure
 
 
@@ -99,10 +103,11 @@ def _figure(rows: int) -> tuple[Figure, list[Axes]]:
     return figure, list(np.atleast_1d(figure.subplots(rows, 1, sharex=True, height_ratios=heights)))
 
 
-def _dress(axes: Axes, scenario: int, title: str, up: str) -> None:
+def _dress(axes: Axes, scenario: int, title: str, up: str, legend: bool = True) -> None:
     """Title, names of the axes, grid, legend; thin lines where a phase begins."""
     axes.set(title=title, ylabel=up)
     for start, _ in list(PHASES[scenario].values())[1:]:
         axes.axvline(start, color=GRID, zorder=0)
     axes.grid(visible=True, axis="y", alpha=0.3)
-    axes.legend(frameon=False, fontsize=9)
+    if legend:
+        axes.legend(frameon=False, fontsize=9)
