@@ -806,6 +806,16 @@ def test_a_picture_shows_fix_accelerations_and_models():
         assert not np.array_equal(picture(env), whole)
 
 
+@pytest.mark.parametrize("stations", [2, 3, 4])
+def test_names_of_stations_close_together_do_not_cover_each_other(stations):
+    env = PassiveEnv(NAME, render_mode="rgb_array", stations=stations)
+    for seed in range(8):
+        env.reset(seed=seed)
+        picture(env)
+        boxes = [name.get_window_extent() for name in env._viewer._scene._station_names]
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), seed
+
+
 def test_a_diverged_track_and_a_scan_without_a_fix_still_give_a_picture():
     env = picture_env(3, carrier="ground")
     world = env.world
