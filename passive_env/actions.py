@@ -17,7 +17,6 @@ from passive_env.belief import Belief
 from passive_env.steering import course, line_of_sight, outward, towards
 from trackers.angles import wrap
 
-
 HARD_TURN_DEG = 60.0
 """A platform that turns as hard as it can is taken to head for this much off its course: whoever learns from such an
 action may then err without turning the other way."""
