@@ -97,18 +97,18 @@ def _shortening(ua, ue):
 
 
 @helper
-def moments_at(dx, dy, dz, range_std, ua, ue, bias, R):
-    """Fill bias [3] and R [3, 3] of a target at (dx, dy, dz) [m] from the sensor."""
+def moments_at(dx, dy, dz, range_std, ua, ue, R):
+    """Bias (x, y, z) [m] of a target at (dx, dy, dz) [m] from the sensor; fills R [3, 3]."""
     rho2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
     r2, rho = rho2 + dz * dz, math.sqrt(rho2)
     c, q = dx / rho, dy / rho
     _moments_into(r2, rho2 / r2, rho * dz / r2, c, q, c * c, c * q, q * q, range_std * range_std, ua, ue, R)
     flat, upright = _shortening(ua, ue)
-    bias[0], bias[1], bias[2] = flat * dx, flat * dy, upright * dz
+    return flat * dx, flat * dy, upright * dz
 
 
 @helper
-def averaged_at(dx, dy, dz, range_std, ua, ue, bias, R):
+def averaged_at(dx, dy, dz, range_std, ua, ue, R):
     """The same averaged over where the target may be when (dx, dy, dz) [m] is the converted measurement."""
     rho2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
     r2, rho = rho2 + dz * dz, math.sqrt(rho2)
@@ -119,16 +119,16 @@ def averaged_at(dx, dy, dz, range_std, ua, ue, bias, R):
     _moments_into(r2 + var, level, slope, la * c, la * q, cc, ea2 * c * q, qq, var, ua, ue, R)
     flat, upright = _shortening(ua, ue)
     flat, upright = flat * (1.0 + flat), upright * (1.0 + upright)
-    bias[0], bias[1], bias[2] = flat * dx, flat * dy, upright * dz
+    return flat * dx, flat * dy, upright * dz
 
 
 @kernel("(p3),(p3),()->(p3),(p3,p3)", "FFbFF")
 def _moments(line, std, averaged, bias, R):
     ua, ue = shrinkage(std[1]), shrinkage(std[2])
     if averaged:
-        averaged_at(line[0], line[1], line[2], std[0], ua, ue, bias, R)
+        bias[0], bias[1], bias[2] = averaged_at(line[0], line[1], line[2], std[0], ua, ue, R)
     else:
-        moments_at(line[0], line[1], line[2], std[0], ua, ue, bias, R)
+        bias[0], bias[1], bias[2] = moments_at(line[0], line[1], line[2], std[0], ua, ue, R)
 
 
 def moments(position, sensor, std) -> Moments:
