@@ -120,5 +120,5 @@ STEADY = {
 }
 """Makers (scenario, seed) of what any scenario can fly."""
 
-FIXED = {"fixed": lambda scenario, seed: Stand(), "random": STEADY["random"]}
-"""Makers (scenario, seed) of what stations that choose their speed can do blindly."""
+FIXED = {"fixed": lambda scenario, seed: Stand(), **STEADY}
+"""Makers (scenario, seed) of what stations that choose their speed can do blindly; `straight` is at half speed."""

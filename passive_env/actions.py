@@ -72,10 +72,13 @@ class Headings(Continuous):
 
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
         """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
-        n = self._platforms
-        off = math.pi * outward(belief.platforms, belief.mean) * values[:, :n]
-        aim = line_of_sight(belief.platforms, belief.mean) + off
-        return np.concatenate([towards(aim, belief.platforms, self._turn_per_step), values[:, n:]], axis=1)
+        turns = towards(self._aims(values, belief), belief.platforms, self._turn_per_step)
+        return np.concatenate([turns, values[:, self._platforms :]], axis=1)
+
+    def _aims(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        """Headings [e, s] rad to turn to."""
+        off = math.pi * outward(belief.platforms, belief.mean) * values[:, : self._platforms]
+        return line_of_sight(belief.platforms, belief.mean) + off
 
     def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
         """Actions [e, a] that mean the commands [e, a] to a belief, which is needed."""
@@ -89,6 +92,24 @@ class Headings(Continuous):
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
         """Actions [..., a] that do in the mirrored world what these do here: outwards stays outwards."""
         return actions
+
+
+class HeadingsAndSpeeds(Headings):
+    """Headings as of `Headings`, then speeds from the lowest, −1, to the highest.
+
+    A platform that flies more than 90° off the heading turns at its lowest speed, on the spot if that is 0, whatever
+    its speed should be then: the way flown meanwhile would have to be flown back.
+
+    Args:
+        as of `Headings`; there is a speed per platform.
+    """
+
+    def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
+        commands = super().commands(values, belief)
+        far = np.abs(wrap(self._aims(values, belief) - course(belief.platforms))) > 0.5 * math.pi
+        commands[:, self._platforms :][far] = -1.0
+        return commands
 
 
 class Discrete:

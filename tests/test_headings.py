@@ -12,7 +12,7 @@ from agents.rules import HoldOffSight
 from agents.sb3 import Sb3VecEnv
 from agents.training import Run, begin_with, new_model, train
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.actions import Headings
+from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
 from passive_env.steering import course, line_of_sight, outward
@@ -67,8 +67,19 @@ def test_climbs_pass_unchanged():
     assert np.array_equal(actions.mirrored(values), values)
 
 
-def test_encoded_commands_are_the_same_commands_again():
-    env = PassiveVectorEnv("AngleFusion", num_envs=64, actions="headings")
+def test_stations_far_off_their_heading_turn_at_their_lowest_speed():
+    """Lines of sight at ±45°; both are to head 90° outwards of them, one is 89° off that, the other 91°."""
+    places = [(0.0, -10_000.0), (0.0, 10_000.0)]
+    belief = belief_of(places, [-45.0 + 89.0, 45.0 - 91.0], target=(10_000.0, 0.0))
+    actions = HeadingsAndSpeeds(4, 2, LIMIT, [True, True, False, False])
+    np.testing.assert_allclose(
+        actions.commands(np.array([[0.5, 0.5, 0.75, 0.75]]), belief), [[-1.0, 1.0, 0.75, -1.0]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", ["AngleFusion", "ManeuveringTarget"])
+def test_encoded_commands_are_the_same_commands_again(name):
+    env = PassiveVectorEnv(name, num_envs=64, actions="headings")
     env.reset(seed=1)
     belief, actions = env.belief(), env.simulation.actions
     commands = np.random.default_rng(2).uniform(-0.999, 0.999, (64, 4))

@@ -373,7 +373,7 @@ def test_the_opening_rule_suits_the_variant(fields, crosses, halt_every):
 
 def test_policies_of_stations_that_fix_known_by_name():
     offer = policy_names(ManeuveringTarget())
-    assert offer == ["fixed", "random", "open", "rule_bend", "rule", "greedy", "planner", "oracle"]
+    assert offer == ["fixed", "straight", "random", "open", "rule_bend", "rule", "greedy", "planner", "oracle"]
     with pytest.raises(ValueError, match=r"unknown policy 'paper': ManeuveringTarget offers fixed, .*planner, oracle"):
         make_policy("paper", ManeuveringTarget())
 

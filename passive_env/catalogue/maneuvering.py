@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from passive_env.actions import Continuous, Discrete, Headings
+from passive_env.actions import Continuous, Discrete, HeadingsAndSpeeds
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
@@ -204,7 +204,8 @@ class ManeuveringTarget(TrackingScenario):
         """Action codec: turn rates of all stations, or headings to turn to, then speeds."""
         odd = [True] * self.stations + [False] * self.stations
         if self.actions == "headings":
-            return Headings(len(odd), self.stations, math.radians(self.max_turn_rate_deg_s) * self.step_s, odd)
+            turn_per_step = math.radians(self.max_turn_rate_deg_s) * self.step_s
+            return HeadingsAndSpeeds(len(odd), self.stations, turn_per_step, odd)
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> ManeuverObservation:
