@@ -141,8 +141,9 @@ def closed_form_trace(one, two, theta):
     return top / bottom
 
 
-def equal_sensors_trace(x, y, z, w, theta):
+def equal_sensors_trace(one, theta):
     """Eq 19."""
+    x, y, z, w = one
     c, q2, v = np.cos(theta), np.sin(theta) ** 2, z * x + z * y - w * w
     top = 4 * x * (x + y) * (v + z * x) + 4 * z * x * v - 2 * w**2 * x**2 * (1 + c) + (w**2 - z * y) ** 2 * q2
     return top / (8 * z * x * (x + y) - 4 * w**2 * x * (1 + c) - 2 * y * (w**2 - z * y) * q2)
@@ -156,11 +157,11 @@ def test_closed_form_traces_equal_inversion():
         covs = moments(convert(looks, ORIGIN), ORIGIN, sd).cov
         fused = np.trace(np.linalg.inv(np.linalg.inv(covs).sum(0)))
         terms = [printed_xyzw(r, beta, sd[0], sd[2], sd[1]) for r, _, beta in looks]
-        assert closed_form_trace(*terms, theta) == pytest.approx(fused, rel=1e-12)
+        assert closed_form_trace(terms[0], terms[1], theta) == pytest.approx(fused, rel=1e-12)
         looks[1, 0], looks[1, 2] = looks[0, 0], looks[0, 2]
         covs = moments(convert(looks, ORIGIN), ORIGIN, sd).cov
         fused = np.trace(np.linalg.inv(np.linalg.inv(covs).sum(0)))
-        assert equal_sensors_trace(*terms[0], theta) == pytest.approx(fused, rel=1e-12)
+        assert equal_sensors_trace(terms[0], theta) == pytest.approx(fused, rel=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------ filters

@@ -204,7 +204,7 @@ def predict_errors(path, sensors, std, ranging, T, q, rho, V, position_std, P_ou
 
 @kernel("(x6),(x6,x6),(n,x6),(n,x6,x6),(),(n),(),(),()->(x6),(x6,x6),(n,x6),(n,x6,x6)", "FFFFiBiffFFFF")
 def predict_tracks(x, P, lx, lP, scans, ranging, mode, T, q, x_out, P_out, lx_out, lP_out):
-    """One step of all tracks; with a single scan behind them they have no velocity yet and stay, if ranges start them."""
+    """One step of all tracks; those that ranges start stay until their second scan: no velocity yet."""
     for i in range(6):
         x_out[i] = x[i]
         for j in range(6):
