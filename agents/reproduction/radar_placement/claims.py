@@ -277,7 +277,8 @@ def _linearisation_claims(trials: Trials, rng: np.random.Generator) -> Iterator[
     text = "50 runs scatter by about 7 %: standard error of their RMSE, 0.05 to 0.09"
     yield claim("9", text, 0.07, scatter, 0.05 <= scatter <= 0.09)
     raw = [float(nees.mean()) for nees in trials.raw_nees.values()]
-    text = f"formulas for the truth evaluated at the measurement: NEES of {', '.join(trials.raw_nees)}, 40 to 70 within 6 %"
+    seen = ", ".join(trials.raw_nees)
+    text = f"formulas for the truth evaluated at the measurement: NEES of {seen}, 40 to 70 within 6 %"
     yield claim("9", text, (40, 70), raw, all(0.94 * 40.0 <= nees <= 1.06 * 70.0 for nees in raw))
 
 
