@@ -10,6 +10,7 @@ The test suite flies the same scenarios for fewer steps (tests/test_world.py).
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,11 +20,19 @@ import numpy as np
 
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue.bearings import BearingScenario
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.catalogue.two_station import TwoStation
-from passive_env.rewards import TERMS
 
-ALL_TERMS = {f"reward_{name}": 1.0 for name in TERMS if "position" not in name} | {"standoff_m": 1e5}
+
+def all_terms(family: type) -> dict[str, float]:
+    """A weight for every reward term that a family of scenarios has."""
+    return {field.name: 1.0 for field in dataclasses.fields(family) if field.name.startswith("reward_")}
+
+
+ALL_TERMS = all_terms(BearingScenario) | {"standoff_m": 1e5}
+MANEUVER_TERMS = all_terms(ManeuveringTarget)
 OVERHEAD = {
     "range_min_m": 1e3,
     "range_max_m": 1e3,
@@ -59,7 +68,28 @@ class OwnshipOnTop(OnTop, Ownship):
     """One platform under its targets."""
 
 
-EXTREMES: dict[str, BearingScenario] = {
+@dataclass(frozen=True, kw_only=True)
+class ManeuveringOnTop(ManeuveringTarget):
+    """The target sits exactly on the first station and accelerates all the same."""
+
+    def draw_tape(self, generators):
+        tape = super().draw_tape(generators)
+        targets = np.broadcast_to(tape.platforms[:, None, :1], tape.targets.shape).copy()
+        return tape._replace(targets=targets)
+
+
+WILD = {
+    "range_min_m": 1e3,
+    "range_max_m": 1e3,
+    "target_speed_max_m_s": 2000.0,
+    "target_acceleration_max_m_s2": 200.0,
+    "target_turn_max_rad_s": 1.0,
+    "quiet_min_s": 1.0,
+    "maneuver_min_s": 1.0,
+    "max_turn_rate_deg_s": 45.0,
+}
+
+EXTREMES: dict[str, TrackingScenario] = {
     "defaults": TwoStation(**ALL_TERMS),
     "paper course": TwoStation(course="paper", **ALL_TERMS),
     "recorded flights": TwoStation(course="flights", targets=6, steps=20, **ALL_TERMS),
@@ -110,6 +140,32 @@ EXTREMES: dict[str, BearingScenario] = {
     "one platform, discrete, scans a minute apart": Ownship(
         actions="discrete", step_s=60.0, range_cap_m=1e7, bearing_std_deg=10.0, **ALL_TERMS
     ),
+    "maneuvering target, defaults": ManeuveringTarget(**MANEUVER_TERMS),
+    "maneuvering target overhead": ManeuveringTarget(max_speed_m_s=1000.0, **WILD, **MANEUVER_TERMS),
+    "maneuvering target overhead, imm3, 4 stations": ManeuveringTarget(
+        tracker="imm3", stations=4, baseline_m=10.0, **WILD, **MANEUVER_TERMS
+    ),
+    "maneuvering target on a station": ManeuveringOnTop(**MANEUVER_TERMS),
+    "maneuvering target on a station, ie": ManeuveringOnTop(tracker="ie", max_speed_m_s=1.0, **MANEUVER_TERMS),
+    "maneuvering target, noise 200 mrad": ManeuveringTarget(
+        azimuth_std_mrad=200.0, baseline_m=10.0, **MANEUVER_TERMS
+    ),
+    "maneuvering target, noise 0.001 mrad": ManeuveringTarget(
+        azimuth_std_mrad=1e-3, mixing="sens", baseline_m=1e5, **MANEUVER_TERMS
+    ),
+    "maneuvering target far away, mie": ManeuveringTarget(
+        range_min_m=1e6, range_max_m=1e6, range_cap_m=1e7, tracker="mie", **MANEUVER_TERMS
+    ),
+    "maneuvering target, ground stations, detection 0.3": ManeuveringTarget(
+        carrier="ground", measuring_speed_m_s=15.0, detection_probability=0.3, stations=3, **MANEUVER_TERMS
+    ),
+    "maneuvering target never fixed again": ManeuveringTarget(
+        carrier="ground", measuring_speed_m_s=0.0, steps=60, mixing="output", **MANEUVER_TERMS
+    ),
+    "maneuvering target, scans a minute apart": ManeuveringTarget(step_s=60.0, mixing="none", **MANEUVER_TERMS),
+    "maneuvering target, headings, scans 0.1 s apart": ManeuveringTarget(
+        step_s=0.1, actions="headings", **MANEUVER_TERMS
+    ),
 }  # fmt: skip
 
 
@@ -129,7 +185,7 @@ class Violation(AssertionError):
     """Something handed out was not finite or out of bounds; the message says what, where and when."""
 
 
-def soak(scenario: BearingScenario, steps: int, envs: int, seed: int = 0, threads: int | None = None) -> Soaked:
+def soak(scenario: TrackingScenario, steps: int, envs: int, seed: int = 0, threads: int | None = None) -> Soaked:
     """Fly at least `steps` environment steps under random actions and check everything after each.
 
     Raises:
@@ -142,7 +198,7 @@ def soak(scenario: BearingScenario, steps: int, envs: int, seed: int = 0, thread
     _check(env, 0, observation, np.zeros(envs), info)
     worst = np.zeros(3)
     episodes, lost, flown = 0, 0.0, 0
-    held = rng.uniform(-1.0, 1.0, (envs, scenario.stations))
+    held = rng.uniform(-1.0, 1.0, (envs, env.simulation.actions.size))
     while flown < steps:
         action = _random_action(env, rng, held)
         observation, reward, _, truncated, info = env.step(action)
@@ -160,7 +216,7 @@ def _random_action(env: PassiveVectorEnv, rng: np.random.Generator, held: np.nda
     redraw = rng.random(len(held)) < 0.01
     held[redraw] = rng.uniform(-1.5, 1.5, (int(redraw.sum()), held.shape[1]))
     command = np.where(np.arange(len(held))[:, None] % 2, held, rng.uniform(-1.0, 1.0, held.shape))
-    return env.simulation.actions.encode(np.clip(command, -1.0, 1.0))
+    return env.simulation.actions.encode(np.clip(command, -1.0, 1.0), env.belief())
 
 
 def _check(env: PassiveVectorEnv, step: int, observation: np.ndarray, reward: np.ndarray, info: dict[str, Any]) -> None:

@@ -20,6 +20,7 @@ from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
@@ -435,6 +436,10 @@ def test_every_order_of_returns_is_equally_likely(targets):
 # ------------------------------------------------------------------------------------------------ rewards
 
 
+IN_PLANE = [term for term in TERMS if "position" not in term and "acceleration" not in term]
+"""Terms of scenarios with unlabelled bearings."""
+
+
 def moment(standoff_m=12e3, **changes) -> Moment:
     """Two targets, two platforms, one disc, one environment; every number chosen by hand."""
     now = Metrics(
@@ -480,13 +485,14 @@ def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
         "log_range_error", "relative_range_error", "range_error", "final_range_error", "log_range_bound",
         "final_log_range_bound", "information_gain", "maneuver", "standoff", "nogo", "lost_track", "log_position_error",
         "relative_position_error", "position_error", "final_position_error", "log_position_bound",
+        "turn_position_error", "acceleration_error",
     }  # fmt: skip
-    in_plane, in_space = (
+    in_plane, in_space, of_maneuvers = (
         {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
-        for family in (TwoStation, AngleFusion)
+        for family in (TwoStation, AngleFusion, ManeuveringTarget)
     )
-    assert in_plane | in_space == set(TERMS)
-    assert in_plane == {term for term in TERMS if "position" not in term}
+    assert in_plane | in_space | of_maneuvers == set(TERMS)
+    assert in_plane == set(IN_PLANE)
 
 
 def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off():
@@ -502,8 +508,7 @@ def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off(
 
 
 def test_rewards_in_the_environment_are_the_weighted_terms():
-    in_plane = (name for name in TERMS if "position" not in name)  # those of the position are for scenarios in space
-    weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(in_plane)}
+    weights = {f"reward_{name}": 0.1 * (i + 1) for i, name in enumerate(IN_PLANE)}
     env = PassiveEnv(steps=20, standoff_m=1e5, lost_error_m=500.0, lost_nees=1.0, **weights)
     _, info = env.reset(seed=1)
     for k in range(20):
@@ -1013,7 +1018,7 @@ SPOILT = {
 @pytest.mark.parametrize("scenario", ["TwoStation", "Ownship"])
 def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, scenario):
     """Observation, reward and all of info stay finite, with every reward term in use."""
-    weights = {f"reward_{name}": 1.0 for name in TERMS if "position" not in name}
+    weights = {f"reward_{name}": 1.0 for name in IN_PLANE}
     tracker = Later(spoil)
     env = PassiveVectorEnv(scenario, num_envs=2, threads=1, tracker=tracker, standoff_m=10e3, steps=8, **weights)
     env.reset(seed=0)
@@ -1073,7 +1078,7 @@ def load_soak():
 
 
 SOAK = load_soak()
-SOAK_STEPS = 260_000
+SOAK_STEPS = 400_000
 
 
 @pytest.mark.parametrize("name", list(SOAK.EXTREMES))

@@ -9,7 +9,7 @@ Station s is any direction finder; the last one is the reference, from which ran
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -18,7 +18,7 @@ import numpy as np
 
 from passive_env.actions import Continuous, Discrete, HeadingsAndSpeeds
 from passive_env.catalogue.bearings import place_flight
-from passive_env.catalogue.tracking import TrackingScenario, checked_tracker
+from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
 from passive_env.maneuver_metrics import ManeuverFigures
 from passive_env.maneuver_observation import ManeuverObservation
@@ -74,6 +74,8 @@ class ManeuveringTarget(TrackingScenario):
         disturbs, known to 200 m/s per axis at first.
     """
 
+    trackers: ClassVar[Mapping[str, Any]] = MANEUVER_TRACKERS
+    tracker_verbs: ClassVar[tuple[str, ...]] = ("acceleration",)
     targets: ClassVar[int] = 1
     score: ClassVar[str] = "position"
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
@@ -83,7 +85,6 @@ class ManeuveringTarget(TrackingScenario):
         ("maneuver_min_s", "maneuver_max_s"),
         ("target_acceleration_min_m_s2", "target_acceleration_max_m_s2"),
         ("min_speed_m_s", "max_speed_m_s"),
-        ("range_floor_m", "range_cap_m"),
     )
 
     stations: int = integer(2, 2, 4, "number of stations")
@@ -151,7 +152,6 @@ class ManeuveringTarget(TrackingScenario):
         gap = self._nearest_m
         if self.standoff_m > gap:
             raise self._error("standoff_m", f"stations may start {gap:.0f} m from the target: must not exceed this")
-        self.make_tracker()
 
     @property
     def _nearest_m(self) -> float:
@@ -172,29 +172,22 @@ class ManeuveringTarget(TrackingScenario):
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
 
+    @property
+    def tracker_settings(self) -> dict[str, Any]:
+        """Keywords of the named tracker."""
+        common = {
+            "initial_velocity_std": self.initial_velocity_std_m_s, "floor_m": self.range_floor_m,
+            "cap_m": self.range_cap_m,
+        }  # fmt: skip
+        return common | ({"mixing": self.mixing} if issubclass(MANEUVER_TRACKERS[self.tracker], ImmMie) else {})
+
     def make_tracker(self) -> ManeuverTracker:
         """The tracker object; a name is made with this scenario's settings.
 
         Raises:
-            ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
+            ValueError: unknown name; TypeError: an object that lacks a verb of the contract or its number of models.
         """
-        if not isinstance(self.tracker, str):
-            return self._checked(self.tracker)
-        if self.tracker not in MANEUVER_TRACKERS:
-            raise self._error("tracker", f"must be one of {', '.join(map(repr, MANEUVER_TRACKERS))}")
-        make = MANEUVER_TRACKERS[self.tracker]
-        settings: dict[str, Any] = {"mixing": self.mixing} if issubclass(make, ImmMie) else {}
-        return make(
-            initial_velocity_std=self.initial_velocity_std_m_s,
-            floor_m=self.range_floor_m,
-            cap_m=self.range_cap_m,
-            **settings,
-        )
-
-    @staticmethod
-    def _checked(tracker: Any) -> ManeuverTracker:
-        """A user's tracker object, as it is."""
-        checked_tracker(tracker, ("acceleration",))
+        tracker = super().make_tracker()
         models = getattr(tracker, "models", None)
         if not isinstance(models, int) or models < 1:
             raise TypeError(f"tracker {tracker!r}: models is {models!r}, must be its number of models, 1 or more")

@@ -25,6 +25,8 @@ class TrackingScenario(Scenario):
 
     trackers: ClassVar[Mapping[str, Any]] = {}
     """Makers of the family's trackers by name."""
+    tracker_verbs: ClassVar[tuple[str, ...]] = ()
+    """What the family's trackers do besides `VERBS`."""
 
     score: ClassVar[str] = "range"
     """The error that policies are compared by: "range", from the reference, or "position"."""
@@ -75,7 +77,7 @@ class TrackingScenario(Scenario):
             ValueError: unknown name; TypeError: an object that lacks a verb of the contract.
         """
         if not isinstance(self.tracker, str):
-            return checked_tracker(self.tracker)
+            return checked_tracker(self.tracker, self.tracker_verbs)
         if self.tracker not in self.trackers:
             raise self._error("tracker", f"must be one of {', '.join(map(repr, self.trackers))}")
         return self.trackers[self.tracker](**self.tracker_settings)
