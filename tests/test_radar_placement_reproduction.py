@@ -167,10 +167,10 @@ def test_headroom_of_fixed_layouts(name):
 
 @pytest.mark.parametrize("name", ["N = 2, ±45° sector, ground", "N = 3, ±45° sector, height to 20 km"])
 def test_best_layouts(name):
-    *limits, paper = SEARCHES[name]
-    layout = best_layout(*limits)
+    n, sector, height, paper = SEARCHES[name]
+    layout = best_layout(n, sector, height)
     assert position_error(layout) == pytest.approx(paper, rel=0.01)
-    assert layout.position[:, 2].max() <= limits[2]
+    assert layout.position[:, 2].max() <= height
 
 
 def test_unequal_angles_call_for_height():
