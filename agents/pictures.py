@@ -251,11 +251,11 @@ def _panel(axes: Axes, episode: EpisodePaths, frame: render.Frame) -> None:
     render.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(_segments(stations))
     render.add_lines(axes, colors, 1.8).set_segments(_segments(targets))
     render.add_ellipses(axes, colors).set_verts(list(1e-3 * render.ellipses(estimates[-1], episode.final_cov)))
-    for state, text in zip(
-        _final_states(stations), render.station_names(stations.shape[1], episode.reference), strict=True
-    ):
+    names = [render.name_tag(axes, text, INK) for text in render.station_names(stations.shape[1], episode.reference)]
+    for state, name in zip(_final_states(stations), names, strict=True):
         render.place_dart(axes.plot([], [], **render.marker(INK))[0], state)
-        render.place_name(render.name_tag(axes, text, INK), state, stations[-1].mean(0), frame)
+        render.place_name(name, state, stations[-1].mean(0), frame)
+    render.part_names(names, frame)
     numbers = []
     for j, (state, color) in enumerate(zip(_final_states(targets), colors, strict=True)):
         render.place_dart(axes.plot([], [], **render.marker(color))[0], state)

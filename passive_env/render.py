@@ -45,6 +45,10 @@ RING_LINE = (0, (5, 3))
 """Dashes of a stand-off ring."""
 DISC: dict[str, Any] = {"facecolor": (*to_rgb(MUTED), 0.12), "edgecolor": MUTED, "linewidth": 0.9, "hatch": "///"}
 """Style of a no-go disc."""
+ASIDE = 0.4
+"""From this share of a unit vector on a name counts as standing to that side."""
+CROWDED = 0.16
+"""Platforms nearer to each other than this share of the picture would have their names overlap."""
 PAUSE_S = 0.1
 """Time a window stays at one step."""
 
@@ -275,6 +279,7 @@ class Scene:
         for state, line, name in zip(world.platforms[0], self._stations, self._station_names, strict=True):
             place_dart(line, state)
             place_name(name, state, world.platforms[0, :, :2].mean(0), frame)
+        part_names(self._station_names, frame)
 
     def _show_targets(self, world: World, step: int) -> None:
         self._discs.set_verts(list(1e-3 * circles(world.tape.discs[0, :, :2], world.tape.discs[0, :, 2])))
@@ -463,17 +468,40 @@ def name_tag(axes: Axes, text: str, color: str) -> Any:
 def place_name(note: Any, state_m: Any, middle_m: Any, frame: Frame) -> None:
     """Write a name ahead of a state [4] m, m/s, where its trail is not.
 
-    Where the frame ends it stands beside the state, on the side away from the middle [2] m of all platforms.
+    Where the frame ends it stands beside the state, rather on the side away from the middle [2] m of all platforms, or
+    behind it.
     """
     note.xy = 1e-3 * state_m[:2]
-    course = state_m[2:] / max(math.hypot(*state_m[2:]), 1e-9)
+    ahead = state_m[2:] / max(math.hypot(*state_m[2:]), 1e-9)
+    left = np.array((-ahead[1], ahead[0]))
+    out = left if left @ (state_m[:2] - middle_m) > 0.0 else -left
     share = (note.xy - frame.low) / (frame.high - frame.low)
+    ways = [way for way in (ahead, out, -out, -ahead) if _has_room(way, share)]
+    _stand_off(note, ways[0] if ways else ahead)
+
+
+def _has_room(way: np.ndarray, share: np.ndarray) -> bool:
+    """Whether a name fits into the frame on the side [2] of a place at shares [2] of its width and height."""
     room = np.array((0.22, 0.07))  # a name is wider than it is high
-    if ((course > 0.0) & (share > 1.0 - room) | (course < 0.0) & (share < room)).any():
-        left = np.array((-course[1], course[0]))
-        course = left if left @ (state_m[:2] - middle_m) > 0.0 else -left
-    ha, va = (np.digitize(x, (-0.4, 0.4)) for x in course)
-    note.set(ha=("right", "center", "left")[ha], va=("top", "center", "bottom")[va], position=tuple(12.0 * course))
+    return not ((way > ASIDE) & (share > 1.0 - room) | (way < -ASIDE) & (share < room)).any()
+
+
+def _stand_off(note: Any, way: np.ndarray) -> None:
+    """Move a name off its place into a direction [2]."""
+    ha, va = (np.digitize(x, (-ASIDE, ASIDE)) for x in way)
+    note.set(ha=("right", "center", "left")[ha], va=("top", "center", "bottom")[va], position=tuple(12.0 * way))
+
+
+def part_names(notes: list[Any], frame: Frame) -> None:
+    """Let placed names of platforms close together stand on different sides: outer ones outwards, inner ones across."""
+    places = np.array([note.xy for note in notes]) / (frame.high - frame.low)
+    for place, note in zip(places, notes, strict=True):
+        crowd = places[np.hypot(*(places - place).T) < CROWDED]
+        off, farthest = place - crowd.mean(0), np.hypot(*(crowd - crowd.mean(0)).T).max()
+        distance = math.hypot(*off)
+        if distance > 1e-9:
+            out = off / distance
+            _stand_off(note, out if distance > 0.5 * farthest else np.array((-out[1], out[0])))
 
 
 def place_number(note: Any, state_m: Any, reference_m: Any) -> None:
@@ -526,6 +554,11 @@ def kilometres(distance_m: float) -> str:
     """A distance with three digits or so."""
     km = distance_m / 1e3
     return f"{km:.2f} km" if km < 9.995 else f"{km:.1f} km" if km < 99.95 else f"{km:,.0f} km"
+
+
+def metres(distance_m: float) -> str:
+    """A distance in metres, or in kilometres where it has some."""
+    return f"{distance_m:.0f} m" if distance_m < 999.5 else kilometres(distance_m)
 
 
 def _dart_sample(color: str, width_pt: float, label: str) -> Line2D:

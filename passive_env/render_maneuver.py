@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 
 from passive_env.core import Simulation, World
 from passive_env.palette import BLUE, GRID, INK, VERMILION
-from passive_env.render import Frame, Scene, ellipses, kilometres, ring
+from passive_env.render import Frame, Scene, ellipses, metres, ring
 
 PLAN_BOX = (0.085, 0.175, 0.60, 0.745)
 ACCELERATION_BOX = (0.76, 0.63, 0.22, 0.22)
@@ -92,7 +92,7 @@ class ManeuverScene(Scene):
 
     def _merit_of(self, world: World) -> str:
         error, bound = world.metrics.position_error_m[0, 0], world.metrics.position_crlb_m[0, 0]
-        return f"position error {kilometres(error)},  1σ bound {kilometres(bound)}"
+        return f"position error {metres(error)},  1σ bound {metres(bound)}"
 
     def _more_samples(self) -> list[Any]:
         fix = Line2D([], [], **FIX, label="fix, its 2σ ellipse (dotted)")

@@ -679,9 +679,20 @@ def test_nothing_infinite_leaves(name):
         (ImmMie, {"windows": (6, MAX_WINDOW + 1)}, "windows"),
         (ImmMie, {"windows": (6, 4.5)}, "windows"),
         (ImmMie, {"windows": ()}, "windows"),
+        (ImmMie, {"windows": 6}, "windows = 6: must be whole numbers"),
+        (ImmMie, {"windows": ("a", 4)}, "windows = .*: must be whole numbers"),
+        (ImmMie, {"windows": (True, 4)}, "windows"),
+        (ImmMie, {"windows": (math.nan, 4)}, "windows"),
         (ImmMie, {"thresholds": (8.0, 0.0)}, "thresholds = .*: must be positive and finite"),
         (ImmMie, {"thresholds": (8.0, math.nan)}, "thresholds"),
         (ImmMie, {"thresholds": (8.0,)}, "thresholds = .*: must be 2 numbers"),
+        (ImmMie, {"thresholds": 8.0}, "thresholds = 8.0: must be 2 numbers"),
+        (ImmMie, {"thresholds": (8.0, math.inf)}, "thresholds = .*: must be positive and finite"),
+        (ImmMie, {"thresholds": (8.0, None)}, "thresholds"),
+        (ImmMie, {"thresholds": ("high", 8.0)}, "thresholds = .*: must be positive and finite"),
+        (ImmMie, {"transition": 0.5}, "transition = 0.5: must be 2 rows of 2"),
+        (ImmMie, {"transition": (("a", "b"), (0.2, 0.8))}, "transition = .*: must be 2 rows of 2"),
+        (ImmMie, {"transition": ((math.nan, 1.0), (0.2, 0.8))}, "transition = .*: must be probabilities"),
         (ImmMie, {"transition": ((0.8, 0.2), (0.3, 0.8))}, "transition = .*: must be probabilities, every row summing"),
         (ImmMie, {"transition": ((1.2, -0.2), (0.2, 0.8))}, "transition = .*: must be probabilities"),
         (ImmMie, {"transition": ((0.8, 0.2),)}, "transition = .*: must be 2 rows of 2"),
@@ -690,7 +701,13 @@ def test_nothing_infinite_leaves(name):
         (Mie, {"windows": (1,)}, "Mie.windows"),
         (InputEstimation, {"thresholds": (-8.0,)}, "InputEstimation.thresholds"),
         (Imm3, {"transition": ((0.7, 0.3), (0.3, 0.7))}, "Imm3.transition = .*: must be 3 rows of 3"),
+        (
+            Imm3,
+            {"transition": ((0.9, 0.0, 0.0),) * 3},
+            "Imm3.transition = .*: must be probabilities, every row summing",
+        ),
         (Imm3, {"noise_std": (1.0, 1.0)}, "noise_std"),
+        (Imm3, {"noise_std": 1.0}, "noise_std = 1.0: must be three numbers"),
         (Imm3, {"noise_std": (1.0, 1.0, -3.0)}, "noise_std"),
         (Imm3, {"initial_acceleration_std": 0.0}, "initial_acceleration_std"),
         (Imm3, {"initial_velocity_std": math.inf}, "initial_velocity_std"),
@@ -738,6 +755,27 @@ def test_bad_starts():
             tracker.start(Gaussian(np.full(4, np.nan), np.eye(4)))
 
 
+@pytest.mark.parametrize("name", MANEUVER_TRACKERS)
+def test_bad_fixes(name):
+    tracker = MANEUVER_TRACKERS[name]()
+    prior = tracker.predict(tracker.start(Gaussian(np.zeros((3, 4)), np.tile(np.eye(4), (3, 1, 1)))), 1.0)
+    position, cov = np.zeros((3, 2)), np.tile(np.eye(2), (3, 1, 1))
+    assert np.isfinite(tracker.update_fix(prior, position, cov).log_likelihood).all()
+    for value in (math.nan, math.inf):
+        bad = position.copy()
+        bad[1, 0] = value
+        with pytest.raises(ValueError, match="position must be finite"):
+            tracker.update_fix(prior, bad, cov)
+    for value in (math.nan, math.inf, -1.0):
+        bad = cov.copy()
+        bad[2, 1, 1] = value
+        with pytest.raises(ValueError, match="cov must be finite, its variances not negative"):
+            tracker.update_fix(prior, position, bad)
+
+
 def test_settings_are_values():
     assert replace(ImmMie(), windows=(5, 3)).windows == (5, 3)
     assert ImmMie() == ImmMie()
+    track = Gaussian(np.zeros(4), np.eye(4))
+    for given, usual in zip(ImmMie(windows=(6.0, 4)).start(track), ImmMie().start(track), strict=True):
+        np.testing.assert_array_equal(given, usual)

@@ -1,6 +1,7 @@
 """A maneuvering target: courses, stations' motion, azimuths, figures of merit, observation, pictures, bad input."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -172,8 +173,8 @@ def test_the_papers_second_track_is_the_specifications():
     np.testing.assert_allclose(np.hypot(*a.T), np.where((t >= 20) & (t < 50), 30.0, 0.0), atol=1e-9)
     to_center = np.array([6000.0, 3000.0]) - path[20:50, :2]
     np.testing.assert_allclose(a[20:50], to_center / 100.0, atol=1e-6)
-    np.testing.assert_allclose(world.platforms[0, :, :2], [[1e3, -20e3], [11e3, -20e3]])
-    assert PAPER_MIDDLE_M == (6e3, -20e3)
+    np.testing.assert_allclose(world.platforms[0, :, :2], [[-2e3, -20e3], [8e3, -20e3]])
+    assert PAPER_MIDDLE_M == (3e3, -20e3)
 
 
 def test_the_papers_first_track_adds_up_its_accelerations():
@@ -197,6 +198,19 @@ def test_the_papers_raw_fixes_are_as_far_off_as_the_specification_says():
         _, worlds = flown(60, 70, STAND, course="paper2", baseline_m=baseline_m)
         errors = np.array([world.metrics.fix_error_m for world in worlds])
         assert math.sqrt(np.square(errors).mean()) == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize(("tracker", "expected"), [("imm_mie", 138.0), ("imm3", 178.0)])
+def test_the_papers_turn_is_tracked_as_well_as_the_specification_says_by_stations_that_close_in(tracker, expected):
+    """Section 8: both stations fly north at 250 m/s from 2 km apart; root mean square error from 26 to 50 s."""
+    simulation, world = begin(100, course="paper2", tracker=tracker)
+    platforms = world.platforms.copy()
+    platforms[..., 2:] = 0.0, STANDING_M_S
+    world, errors = world._replace(platforms=platforms), []
+    for _ in range(50):
+        world = simulation.advance(world, np.tile(GO, (100, 1)))[0]
+        errors.append(world.metrics.position_error_m)
+    assert math.sqrt(np.square(errors[25:49]).mean()) == pytest.approx(expected, rel=0.1)
 
 
 def test_recorded_flights_keep_their_shape_and_turn_as_long_as_asked():
@@ -334,6 +348,23 @@ def test_ground_stations_measure_only_while_they_stand():
     assert stood.metrics.position_crlb_m[0, 0] < bound[-1]
     slow = np.tile([0.0, 0.0, -0.92, -0.92], (3, 1))  # 1 m/s, the limit
     assert simulation.advance(worlds[-1], slow)[0].reports.fixed.all()
+
+
+def test_lines_of_sight_that_do_not_cross_let_the_track_coast():
+    """From 10 m apart noise decides whether lines cross ahead: about as often as not."""
+    simulation, worlds = flown(40, 40, STAND, baseline_m=10.0)
+    fixed = np.array([world.reports.fixed[:, 0] for world in worlds])
+    assert 0.3 < fixed[1:].mean() < 0.7
+    tracker = simulation.tracker
+    for before, world in itertools.pairwise(worlds):
+        assert np.array_equal(world.reports.assigned[:, 0], np.repeat(world.reports.fixed, 2, axis=1))
+        prior, coasts = tracker.predict(before.track_state, 1.0), ~world.reports.fixed[:, 0]
+        coasted = tracker.estimate(tracker.update_fix(prior, np.zeros(2), np.zeros((2, 2)), False).posterior)
+        for ours, expected in zip(world.estimate, coasted, strict=True):
+            np.testing.assert_array_equal(ours[coasts], expected[coasts])
+            assert not np.array_equal(ours[~coasts], expected[~coasts])
+        shown = [simulation.observe(world), *world.metrics, *simulation.info(world).values()]
+        assert all(np.isfinite(part).all() for part in shown if not isinstance(part, dict))
 
 
 # ------------------------------------------------------------------------------------------------ trackers
@@ -775,6 +806,16 @@ def test_a_picture_shows_fix_accelerations_and_models():
         assert not np.array_equal(picture(env), whole)
 
 
+@pytest.mark.parametrize("stations", [2, 3, 4])
+def test_names_of_stations_close_together_do_not_cover_each_other(stations):
+    env = PassiveEnv(NAME, render_mode="rgb_array", stations=stations)
+    for seed in range(8):
+        env.reset(seed=seed)
+        picture(env)
+        boxes = [name.get_window_extent() for name in env._viewer._scene._station_names]
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), seed
+
+
 def test_a_diverged_track_and_a_scan_without_a_fix_still_give_a_picture():
     env = picture_env(3, carrier="ground")
     world = env.world
@@ -810,11 +851,15 @@ def test_a_diverged_track_and_a_scan_without_a_fix_still_give_a_picture():
         ({"target_acceleration_min_m_s2": 40.0}, "must not exceed target_acceleration_max_m_s2"),
         ({"turn_share": 1.1}, "turn_share"),
         ({"standoff_m": 15e3}, "standoff_m = 15000.0: stations may start 14000 m from the target"),
-        ({"course": "paper2", "standoff_m": 21e3}, "standoff_m = 21000.0: stations may start 20616 m"),
+        ({"course": "paper2", "standoff_m": 21e3}, "standoff_m = 21000.0: stations may start 20100 m"),
         ({"flight_turn_s": 5.0}, "add course='flights'"),
         ({"flight_turn_s": 80.0, "course": "flights"}, "flight_turn_s = 80.0: an episode lasts 70 s"),
         ({"flights": "x.csv"}, "add course='flights'"),
         ({"range_floor_m": 1e5}, "range_floor_m = 100000.0: must lie below range_cap_m = 100000.0"),
+        ({"range_cap_m": 10.0}, "must lie below range_cap_m = 10.0"),
+        ({"initial_velocity_std_m_s": 0.0}, "initial_velocity_std_m_s = 0.0: must lie in"),
+        ({"baseline_m": 0.0}, "baseline_m = 0.0: must lie in"),
+        ({"actions": "turns"}, "must be one of 'continuous', 'headings', 'discrete'"),
         ({"tracker": "rp_ekf"}, "tracker = 'rp_ekf': must be one of 'imm_mie'"),
     ],
     ids=str,
@@ -829,6 +874,13 @@ def test_a_baseline_longer_than_the_range_is_allowed_where_nobody_must_stand_off
     assert np.isfinite([world.metrics.position_error_m for world in worlds]).all()
     with pytest.raises(ValueError, match="stations may start 0 m from the target"):
         make_scenario(NAME, {"baseline_m": 40e3, "standoff_m": 1.0})
+
+
+def test_aircraft_may_never_fly_slower_than_ground_stations_drive():
+    """Each carrier's least speed is held against its own top speed."""
+    scenario = make_scenario(NAME, {"min_speed_m_s": 100.0})
+    assert scenario.top_speed_m_s == 250.0
+    assert make_scenario(NAME, {"carrier": "ground", "max_speed_m_s": 1.0, "min_speed_m_s": 0.5}).top_speed_m_s == 25.0
 
 
 def test_recorded_flights_that_never_turn_so_long_are_an_error():

@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.render import ELLIPSE_STD, Frame, Trail, Viewer, edge_points, ellipses, grow, hypotheses_of, kilometres
+from passive_env.render import (
+    ELLIPSE_STD,
+    Frame,
+    Trail,
+    Viewer,
+    edge_points,
+    ellipses,
+    grow,
+    hypotheses_of,
+    kilometres,
+    metres,
+)
 from trackers import Bank, FusedEkf
 
 SHAPE = (800, 800, 3)
@@ -276,6 +287,7 @@ def test_distances_read_well():
     assert [kilometres(d) for d in (312.0, 9_994.0, 9_996.0, 42_340.0, 123_456.0)] == [
         "0.31 km", "9.99 km", "10.0 km", "42.3 km", "123 km",
     ]  # fmt: skip
+    assert [metres(d) for d in (0.4, 312.0, 999.4, 999.6, 42_340.0)] == ["0 m", "312 m", "999 m", "1.00 km", "42.3 km"]
 
 
 # ------------------------------------------------------------------------------------------------ vector environment

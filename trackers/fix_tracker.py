@@ -44,6 +44,14 @@ class FixTracker(ABC):
         if not met:
             raise ValueError(f"{type(self).__name__}.{name} = {getattr(self, name)!r}: must be {words}")
 
+    def numbers(self, name: str, words: str) -> np.ndarray:
+        """The setting `name`, a row of numbers or rows of them, as an array; raises as `require` if it is none."""
+        try:
+            return np.array(getattr(self, name), dtype=float)
+        except (TypeError, ValueError):
+            self.require(False, name, words)
+            raise
+
     def initiate(self, scan: BearingScan) -> Any:
         """One track [..., 1, …] at the scan's fix, its velocity unknown; see `triangulation_3d` for a fix that fails.
 
@@ -69,6 +77,19 @@ class FixTracker(ABC):
         scan.check()
         told = scan.over_tracks()
         return self.update_fix(state, *fix_bearings(*told, self.max_condition))
+
+    def checked_fix(self, position: Any, cov: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Measured positions [..., d] m and covariances [..., d, d] as arrays.
+
+        Raises:
+            ValueError: entries that are not finite, negative variances.
+        """
+        position, cov = np.asarray(position, dtype=float), np.asarray(cov, dtype=float)
+        if not np.isfinite(position).all():
+            raise ValueError("update_fix: position must be finite (0 where there is no fix)")
+        if not (np.isfinite(cov).all() and (np.diagonal(cov, axis1=-2, axis2=-1) >= 0.0).all()):
+            raise ValueError("update_fix: cov must be finite, its variances not negative (0 where there is no fix)")
+        return position, cov
 
     @staticmethod
     def checked_start(track: Gaussian) -> tuple[np.ndarray, np.ndarray]:
@@ -118,11 +139,9 @@ def transition_matrix(tracker: FixTracker, name: str, models: int) -> np.ndarray
     Raises:
         ValueError: another number of rows or columns than models, or rows that are no probabilities.
     """
-    rows = getattr(tracker, name)
-    tracker.require(
-        [np.size(row) for row in rows] == [models] * models, name, f"{models} rows of {models}, one a model"
-    )
-    matrix = np.array(rows, dtype=float)
+    words = f"{models} rows of {models}, one a model"
+    matrix = tracker.numbers(name, words)
+    tracker.require(matrix.shape == (models, models), name, words)
     good = (matrix >= 0.0).all() and np.allclose(matrix.sum(1), 1.0, rtol=0.0, atol=1e-9)
     tracker.require(bool(good), name, "probabilities, every row summing to 1")
     return matrix

@@ -156,8 +156,9 @@ class Imm3(FixTracker):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        good = len(self.noise_std) == 3 and all(0.0 <= q < np.inf for q in self.noise_std)
-        self.require(good, "noise_std", "three numbers, finite and not negative")
+        words = "three numbers, finite and not negative"
+        noise = self.numbers("noise_std", words)
+        self.require(noise.shape == (3,) and bool(((noise >= 0.0) & (noise < np.inf)).all()), "noise_std", words)
         self.require(0.0 < self.initial_acceleration_std < np.inf, "initial_acceleration_std", "positive and finite")
         _ = self._chain
 
@@ -193,7 +194,7 @@ class Imm3(FixTracker):
 
     def update_fix(self, state: ImmState, position: Any, cov: Any, fixed: Any = True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
-        posterior, log_likelihood, nu, S = imm_update(state, position, cov, fixed)
+        posterior, log_likelihood, nu, S = imm_update(state, *self.checked_fix(position, cov), fixed)
         never = np.zeros(posterior.probability.shape, dtype=bool)
         seen = np.broadcast_to(fixed, log_likelihood.shape)
         return ManeuverUpdate(posterior, nu, S, log_likelihood, posterior.probability, never, seen)

@@ -262,14 +262,13 @@ class ImmMie(FixTracker):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole = bool(self.windows) and all(
-            isinstance(s, (int, np.integer)) and 2 <= s <= MAX_WINDOW for s in self.windows
-        )
-        self.require(whole, "windows", f"whole numbers from 2 to {MAX_WINDOW}, one a filter")
-        positive = all(0.0 < threshold < np.inf for threshold in self.thresholds)
-        self.require(positive, "thresholds", "positive and finite")
-        r = len(self.windows)
-        self.require(len(self.thresholds) == r, "thresholds", f"{r} numbers, one for each of the windows")
+        words = f"whole numbers from 2 to {MAX_WINDOW}, one a filter"
+        windows = self.numbers("windows", words)
+        whole = windows.ndim == 1 and windows.size > 0 and (windows == np.rint(windows)).all()
+        self.require(bool(whole and (windows >= 2).all() and (windows <= MAX_WINDOW).all()), "windows", words)
+        thresholds, words = self.numbers("thresholds", "positive and finite"), f"{windows.size} numbers, one a window"
+        self.require(bool(((thresholds > 0.0) & (thresholds < np.inf)).all()), "thresholds", "positive and finite")
+        self.require(thresholds.shape == windows.shape, "thresholds", words)
         self.require(0.0 <= self.acceleration_std < np.inf, "acceleration_std", "finite and not negative")
         self.require(self.mixing in MIXINGS, "mixing", f"one of {', '.join(map(repr, MIXINGS))}")
         _ = self._bank
@@ -294,7 +293,7 @@ class ImmMie(FixTracker):
         """All filters alike, windows empty."""
         mean, cov = self.checked_start(track)
         lead, n = mean.shape[:-1], mean.shape[-1]
-        r, s, d = len(self.windows), max(self.windows), n // 2
+        r, s, d = len(self.windows), int(self._bank[1].max()), n // 2
         x, P = (np.repeat(np.expand_dims(part, len(lead)), r, len(lead)) for part in (mean, cov))
         empty = [np.zeros((*lead, r, *shape)) for shape in ((d,), (d, d), (s, n, d), (s, d), (column(s), d, d))]
         u, U, E, w, B = empty
@@ -315,6 +314,7 @@ class ImmMie(FixTracker):
     def update_fix(self, state: MieState, position: Any, cov: Any, fixed: Any = True) -> ManeuverUpdate:
         """Condition tracks on measured positions [..., d] m with covariances [..., d, d]; `fixed` False: coast."""
         _, windows, thresholds = self._bank
+        position, cov = self.checked_fix(position, cov)
         update_filters = UPDATES[state.input.shape[-1]]
         *filters, detected, log_likelihood, nu, S = update_filters(
             state.recursion, state.recursion_cov, state.output, state.output_cov, state.probability,

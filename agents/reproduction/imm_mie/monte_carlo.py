@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.catalogue.maneuvering import PAPER_MIDDLE_M
 from trackers import FixTracker, Gaussian, ImmMie, Mie
 from trackers.measurement import bearing
 from trackers.motion import transition
@@ -134,11 +135,6 @@ def _measured(truth: Path, rng: np.random.Generator) -> Measured:
 
 # -- passive stations -------------------------------------------------------------------------------------------------
 
-STATION_Y_M = -20.0e3
-CENTRE_X_M = 0.5 * SPEED_M_S * ONSET_S[2]
-"""The stations stand abreast of the middle of scenario 2's first leg: the specification does not say where, and of the
-places tried this one alone meets the errors of its fixes and of its turns, all of them within 6 %."""
-
 BEARING_STD = 1.0e-3
 RANGE_SUM_STD_M = 15.0
 START_OFFSET_M = 300.0
@@ -149,7 +145,7 @@ class Layout(NamedTuple):
     """Two stations abreast south of the target.
 
     Attributes:
-        baseline_m: distance at the start, their middle at `CENTRE_X_M`.
+        baseline_m: distance at the start, about `PAPER_MIDDLE_M`.
         opening_m_s: speed at which the baseline grows; closing_m_s: of both stations northwards.
         ellipses: range sums instead of bearings; a transmitter stands midway, both stations receive.
         told_std_m: trackers are told this error of a fix, round, instead of the fix's own covariance.
@@ -164,8 +160,8 @@ class Layout(NamedTuple):
     def stations(self, t: np.ndarray) -> np.ndarray:
         """Positions [k, 2, 2] m at times [k] s."""
         half = 0.5 * (self.baseline_m + self.opening_m_s * t)
-        y = STATION_Y_M + self.closing_m_s * t
-        return np.stack([np.stack([CENTRE_X_M - half, y], -1), np.stack([CENTRE_X_M + half, y], -1)], axis=1)
+        x, y = PAPER_MIDDLE_M[0], PAPER_MIDDLE_M[1] + self.closing_m_s * t
+        return np.stack([np.stack([x - half, y], -1), np.stack([x + half, y], -1)], axis=1)
 
 
 def measure_fixes(layout: Layout, runs: int, rng: np.random.Generator) -> Measured:
