@@ -47,7 +47,7 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
         self.scenario = make_scenario(scenario, fields)
         self.render_mode = render_mode
         self.scenario.check_flights()
-        self.simulation = Simulation(self.scenario)
+        self.simulation: Simulation = self.scenario.make_simulation()
         self.observation_space = self.simulation.observation.space
         self.action_space = self.simulation.actions.space
         self._world: World | None = None
