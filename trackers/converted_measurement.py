@@ -9,9 +9,9 @@ u_e(2 − u_e)/2 + (1 − u_e)² cos²β, in the vertical plane through the line
     coupling √(1 − u_a) (1 − u_e) [σ_r² (1 − u_e) − r² u_e] cos β sin β                                the paper's w
     bias     (λ_a λ_e − 1) (x, y),  (λ_e − 1) z,   λ = √(1 − u)
 
-turned by the azimuth: R = [along c² + across q², (along − across) cq, coupling c; …; …]; the paper's y is along − across.
-These are its eqs 5–10 arranged so that no large numbers cancel. They hold given the true position. `averaged_moments`
-are their means over the true positions that a measurement leaves open (Lerro and Bar-Shalom 1993).
+turned by the azimuth: R = [along c² + across q², (along − across) cq, coupling c; …; …]; along − across is the
+paper's y. These are its eqs 5–10 arranged so that no large numbers cancel. They hold given the true position.
+`averaged_moments` are their means over the true positions that a measurement leaves open (Lerro and Bar-Shalom 1993).
 
 Source: Yang et al. (1998), eqs 5–10. Corrections: elevation's variance in all of eq 7 and 15, with 1 − exp(+σ²) in the
 bracket; eq 11 with the two angles exchanged; R is an outer product; the bias, which the paper does not print.
@@ -176,11 +176,15 @@ class Layout(NamedTuple):
         if n < 1 or position.shape[-2:] != (n, 3) or std.shape[-2:] != (n, 3):
             shapes = f"position {position.shape}, std {std.shape}, ranging {ranging.shape}"
             raise ValueError(f"layout has {shapes}: must be [..., n, 3], [..., n, 3], [..., n] with n of at least 1")
-        _refuse(~np.isfinite(position).all(-1), position, "position {} m: must be finite")
-        _refuse(position[..., 2] < 0.0, position[..., 2], "height {} m: is under ground, must be 0 or more")
+        _refuse(np.asarray(~np.isfinite(position).all(-1)), position, "position {} m: must be finite")
+        _refuse(np.asarray(position[..., 2] < 0.0), position[..., 2], "height {} m: is under ground, must be 0 or more")
         used = np.where(ranging[..., None] | np.array([False, True, True]), std, 1.0)
         sound = (used > 0.0) & np.isfinite(used)
-        _refuse(~sound.all(-1), used, "std {} (range m, azimuth rad, elevation rad): must be positive and finite")
+        _refuse(
+            np.asarray(~sound.all(-1)),
+            used,
+            "std {} (range m, azimuth rad, elevation rad): must be positive and finite",
+        )
 
 
 def _refuse(bad: np.ndarray, value: np.ndarray, words: str) -> None:
