@@ -16,6 +16,7 @@ from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
 
 
@@ -65,6 +66,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
     from agents.fixed import FIXED, PAPER, PAPER_IN_SPACE, STEADY
     from agents.greedy import FIX_GREEDY, GREEDY, GREEDY_IN_SPACE
+    from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
@@ -74,6 +76,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
         ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
+        RadarPlacement: {**PLACEMENT, "random": STEADY["random"]},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

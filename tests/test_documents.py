@@ -23,6 +23,7 @@ FAMILIES = {
     "Ownship": ROOT / "docs" / "ownship.md",
     "AngleFusion": ROOT / "docs" / "angle_fusion.md",
     "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
+    "RadarPlacement": ROOT / "docs" / "radar_placement.md",
 }
 """Environments and the documents that describe them."""
 WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "imm_mie_trackers.md", *FAMILIES.values()]
