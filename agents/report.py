@@ -141,7 +141,8 @@ def _note(summary: Mapping[str, Any]) -> str:
     honest = nees_scale(summary["state_size"])
     return (
         f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
-        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}{_scored_note(summary)}{_maneuver_note(summary)}"
+        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}"
+        f"{_scored_note(summary)}{_maneuver_note(summary)}"
         "Bound: posterior Cramér–Rao bound at the end, mean; it is a standard deviation (a mean absolute error may lie "
         "20 % below it) for targets as restless as the filter assumes (those that fly straight for long can be ranged "
         "better). Collapsed: ends more than "

@@ -160,6 +160,7 @@ def course_prior(task: Task, scans: int, step_s: float, acceleration_std: float)
     spread = (task.sector_rad, task.heading_rad, 0.5 * np.ptp(task.speed_m_s, -1), 0.5 * np.ptp(task.altitude_m, -1))
     scaled = slope * (np.stack(spread, axis=-1) / math.sqrt(3.0))[:, None, :]
     q = (acceleration_std * step_s) ** 2 * steps
-    noise = np.kron([[(step_s * steps) ** 2 / 3.0, step_s * steps / 2.0], [step_s * steps / 2.0, 1.0]], np.eye(3))
+    half = 0.5 * step_s * steps
+    noise = np.kron([[step_s**2 * (steps**2 / 3.0 - 1.0 / 12.0), half], [half, 1.0]], np.eye(3))
     known = np.diag([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # a metre, a decimetre a second: never singular
     return Gaussian(mean, scaled @ np.swapaxes(scaled, -1, -2) + q * noise + known)
