@@ -17,6 +17,10 @@ from passive_env.belief import Belief
 from passive_env.steering import course, line_of_sight, outward, towards
 from trackers.angles import wrap
 
+HARD_TURN_DEG = 60.0
+"""A platform that turns as hard as it can is taken to head for this much off its course: whoever learns from such an
+action may then err without turning the other way."""
+
 
 class Continuous:
     """A Box in [−1, 1], one number per rate as a share of its limit: turns (counter-clockwise +), then any climbs.
@@ -85,7 +89,9 @@ class Headings(Continuous):
         if belief is None:
             raise TypeError("encode(commands, belief): headings off a line of sight need the belief")
         n = self._platforms
-        aim = course(belief.platforms) + self._turn_per_step * commands[:, :n]
+        turns = commands[:, :n]
+        ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step * turns, math.radians(HARD_TURN_DEG) * turns)
+        aim = course(belief.platforms) + ahead
         off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
         return np.concatenate([off / math.pi, commands[:, n:]], axis=1).astype(np.float32)
 

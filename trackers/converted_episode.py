@@ -32,10 +32,29 @@ from trackers.position_information import (
 )
 
 LINEARISATIONS = LOCAL, FUSED, ITERATED, MEASUREMENT, TRUTH = ("local", "fused", "iterated", "measurement", "truth")
-_LOCAL, _ITERATED, _MEASUREMENT, _TRUTH = (LINEARISATIONS.index(x) for x in (LOCAL, ITERATED, MEASUREMENT, TRUTH))
+_LOCAL, _FUSED, _ITERATED, _MEASUREMENT, _TRUTH = range(len(LINEARISATIONS))
 
 
 # -- one scan ---------------------------------------------------------------------------------------------------------
+
+
+@helper
+def _fuse_positions(p, at, averaged, z, sensors, std, u, ranging, total, g, cov, R, info, H, line):
+    """Position p [3] and cov [3, 3] of one scan; bias and R evaluated at `at` [≥3] or averaged, p a point near it."""
+    clear_information(total, g, 0.0)
+    for s in range(sensors.shape[0]):
+        if ranging[s]:
+            line_into(z[s], line)
+            debias(line, at, sensors[s], averaged, std[s], u[s], R)
+            invert_3(R, info)
+            add_position(line, info, p, total, g)
+    move(p, total, g, cov)
+    for i in range(3):
+        g[i] = 0.0
+    for s in range(sensors.shape[0]):
+        if not ranging[s]:
+            add_direction(z[s], sensors[s], std[s], p, p, H, total, g)
+    move(p, total, g, cov)
 
 
 @helper
@@ -43,11 +62,15 @@ def _start(
     x, P, lx, lP, second, z, sensors, std, u, ranging, truth, mode, T, q, rho, V, x_out, P_out, lx_out, lP_out, W, v
 ):  # fmt: skip
     """The fused track and the sensors' own from the first scan, or from the first two."""
-    p, g, line = v[0], v[1], v[2]
+    p, g, line, at = v[0], v[1], v[2], v[3]
     total, R, info, cov, H = W[0], W[1], W[2], W[3], W[4]
-    clear_information(total, g, 0.0)
     first = True
     for s in range(sensors.shape[0]):
+        for i in range(6):
+            if not ranging[s]:
+                lx_out[s, i] = 0.0
+                for j in range(6):
+                    lP_out[s, i, j] = 0.0
         if ranging[s]:
             line_into(z[s], line)
             debias(line, truth, sensors[s], mode != _TRUTH, std[s], u[s], R)
@@ -55,24 +78,15 @@ def _start(
             if first:
                 for i in range(3):
                     p[i] = line[i]
-                first = False
-            invert_3(R, info)
-            add_position(line, info, p, total, g)
-        else:
-            for i in range(6):
-                lx_out[s, i] = 0.0
-                for j in range(6):
-                    lP_out[s, i, j] = 0.0
+            first = False
     if first:
         cross_directions(z, sensors, std, rho, p, total, g, cov, H, v[3], v[4])
     else:
-        move(p, total, g, cov)
-        for i in range(3):
-            g[i] = 0.0
-        for s in range(sensors.shape[0]):
-            if not ranging[s]:
-                add_direction(z[s], sensors[s], std[s], p, p, H, total, g)
-        move(p, total, g, cov)
+        _fuse_positions(p, truth, mode != _TRUTH, z, sensors, std, u, ranging, total, g, cov, R, info, H, line)
+        if mode in (_FUSED, _ITERATED):
+            for i in range(3):
+                at[i] = p[i]
+            _fuse_positions(p, at, False, z, sensors, std, u, ranging, total, g, cov, R, info, H, line)
     start_track(x, P, p, cov, second, T, q, V, x_out, P_out)
 
 

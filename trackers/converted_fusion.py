@@ -10,8 +10,8 @@ summed over the sensors; p₀ is the prediction. Sensors' noises are independent
 fusion of the sensors' own tracks without feedback gives (`fuse_tracks`). `linearisation` says where the bias and R are
 evaluated, as nobody knows the truth:
     local        at the sensor's own track's prediction, as without feedback: the paper's
-    fused        at the fused prediction: the centre tells the sensors
-    iterated     at the fused prediction, then once more at the estimate that comes of it
+    fused        at the fused prediction, and in the start at the fused position: the centre tells the sensors
+    iterated     the same, then once more at the estimate that comes of it
     measurement  averaged over what the measurement leaves open (Lerro and Bar-Shalom 1993)
     truth        at the truth: for studies of how much the others lose
 A sensor without range has no track of its own; the centre linearises its angles at the fused prediction.

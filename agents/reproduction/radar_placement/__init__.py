@@ -14,9 +14,17 @@ from typing import Any
 import numpy as np
 
 from agents.files import make_folder
-from agents.reproduction.radar_placement.claims import PAIRS, SINGLE, STUDIED, Trials, all_claims
+from agents.reproduction.radar_placement.claims import PAIRS, SINGLE, STUDIED, THEORY_M, Trials, all_claims
 from agents.reproduction.radar_placement.pictures import all_pictures
-from agents.reproduction.radar_placement.scenario import Runs, draw_runs, error_ratio, follow, pair, ring
+from agents.reproduction.radar_placement.scenario import (
+    Runs,
+    draw_runs,
+    error_ratio,
+    follow,
+    nees_at_measurement,
+    pair,
+    ring,
+)
 from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
 from trackers.converted_episode import LINEARISATIONS
 
@@ -78,7 +86,8 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
         for name, layout in STUDIED.items()
         for linearisation in LINEARISATIONS
     }
-    return Trials(pairs, studied, len(seeds))
+    raw = {name: nees_at_measurement(every, STUDIED[name]) for name in THEORY_M}
+    return Trials(pairs, studied, raw, len(seeds))
 
 
 def print_radar_placement(result: Mapping[str, Any]) -> str:

@@ -140,7 +140,7 @@ def _time_axes(title: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(8.0, 4.6), layout="constrained")
     axes = figure.subplots()
     axes.set(title=title, xlabel="time [s]", ylabel="position RMSE [m]", yscale="log")
-    ticks = (200, 500, 1000, 2000, 5000)
+    ticks = (200, 300, 500, 700, 1000, 1500, 2000, 3000, 4000)
     axes.set_yticks(ticks, [f"{tick:d}" for tick in ticks])
     axes.minorticks_off()
     axes.grid(visible=True, alpha=0.3)
@@ -171,5 +171,5 @@ def map_picture() -> Figure:
     axes.plot(*steps, "o", color=ORANGE, markeredgecolor=INK, label="the paper's next step, 40°")
     axes.plot(*behind, "*", color=GREEN, markersize=13, markeredgecolor=INK, label="at −120°")
     axes.set(title="Where to put a third radar", xlabel="east [km]", ylabel="north [km]", aspect="equal")
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="lower right", fontsize=8)
     return figure

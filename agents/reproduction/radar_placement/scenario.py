@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from trackers import ConvertedFusion, Layout
 from trackers.consistency import nees
-from trackers.converted_measurement import moments
-from trackers.linalg import psd_inverse
+from trackers.converted_measurement import convert, moments, polar
+from trackers.linalg import psd_inverse, symmetrize
 from trackers.motion_3d import process_noise_3d, transition_3d
 
 STEP_S, SCANS = 1.0, 51
@@ -41,7 +41,7 @@ def straight_path() -> np.ndarray:
     return np.stack([DISTANCE_M - SPEED_M_S * t, still, still + HEIGHT_M, still - SPEED_M_S, still, still], axis=-1)
 
 
-def ring(azimuth_deg, height_m=0.0, std: Sequence[float] = EQUAL, distance_m: float = DISTANCE_M) -> Layout:
+def ring(azimuth_deg: Any, height_m: Any = 0.0, std: Sequence[float] = EQUAL, distance_m: float = DISTANCE_M) -> Layout:
     """Sensors at a horizontal distance around the target's first position; azimuth 0 is at the origin.
 
     Args:
@@ -60,7 +60,7 @@ def raised(elevation_deg):
     return np.maximum(HEIGHT_M + DISTANCE_M * np.tan(np.deg2rad(elevation_deg) - RISE), 0.0)
 
 
-def pair(azimuth_deg=0.0, elevation_deg=0.0, std: Sequence[float] = EQUAL) -> Layout:
+def pair(azimuth_deg: Any = 0.0, elevation_deg: Any = 0.0, std: Sequence[float] = EQUAL) -> Layout:
     """Sensor 1 at the origin, sensor 2 off by azimuth θ12 and elevation β12 as seen from the target; broadcasts."""
     azimuth, height = np.broadcast_arrays(np.asarray(azimuth_deg, dtype=float), raised(elevation_deg))
     zero = np.zeros_like(azimuth)
@@ -157,3 +157,23 @@ def follow(runs: Runs, layout: Layout, linearisation: str = "local") -> Record:
     track = ConvertedFusion(linearisation=linearisation).track(runs.path, layout, noise)
     last = slice(-LAST, None)
     return Record(track.position_error_m, nees(track.mean[:, last], track.cov[:, last], runs.path[:, last]))
+
+
+def nees_at_measurement(runs: Runs, layout: Layout) -> np.ndarray:
+    """NEES [r] over the last scans if bias and R, formulas for the truth, are evaluated at each measurement itself."""
+    F, Q, n = transition_3d(STEP_S), process_noise_3d(STEP_S, ACCELERATION_STD), len(layout.ranging)
+    z = polar(runs.path[:, :, None], layout.position) + layout.std * runs.noise[:, :, :n]
+    converted = convert(z, layout.position)
+    bias, R = moments(converted, layout.position, layout.std)
+    information = psd_inverse(R)
+    fused = psd_inverse(information.sum(2))
+    position = np.einsum("rkij,rknjl,rknl->rki", fused, information, converted - bias)
+    x = np.concatenate([position[:, 1], (position[:, 1] - position[:, 0]) / STEP_S], axis=-1)
+    P, said = two_point_cov(fused[:, 0], fused[:, 1]), []
+    for k in range(2, SCANS):
+        x, P = x @ F.T, F @ P @ F.T + Q
+        K = P[..., :3] @ psd_inverse(P[..., :3, :3] + fused[:, k])
+        x = x + np.einsum("rij,rj->ri", K, position[:, k] - x[:, :3])
+        P = symmetrize(P - K @ P[..., :3, :])
+        said.append(nees(x, P, runs.path[:, k]))
+    return np.mean(said[-LAST:], axis=0)
