@@ -65,8 +65,8 @@ def next_sensor(belief: PlacementBelief) -> np.ndarray:
 def layout_commands(rule: Rule, task: Task, sensors: int) -> np.ndarray:
     """Commands [e, n, 3] of a rule's whole layouts."""
     shape = (len(task.std), sensors)
-    places = [np.broadcast_to(part, shape) for part in rule(task, sensors)]
-    return np.stack([commands(*(part[:, i] for part in places), task) for i in range(sensors)], axis=1)
+    azimuth, distance, height = (np.broadcast_to(part, shape).T for part in rule(task, sensors))
+    return np.stack([commands(*place, task) for place in zip(azimuth, distance, height, strict=True)], axis=1)
 
 
 # -- the paper's layouts and rules -------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ class Search:
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""
         size, rng = 3 * self._sensors, np.random.default_rng(self._seed)
-        start = rng.uniform(-1.0, 1.0, (self.PER_NUMBER * size, size))
+        start: Any = rng.uniform(-1.0, 1.0, (self.PER_NUMBER * size, size))
         known = [layout_commands(rule, task, self._sensors).ravel() for rule in RULES]
         start[: len(known)] = known
 

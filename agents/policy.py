@@ -11,7 +11,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
@@ -22,13 +21,13 @@ from passive_env.catalogue.two_station import TwoStation
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides where the platforms go."""
+    """Decides where the platforms go. A belief is a `passive_env.belief.Belief`, or a family's own tuple."""
 
-    def reset(self, belief: Belief) -> None:
+    def reset(self, belief: Any) -> None:
         """Begin episodes; called once before the first `act`."""
         ...
 
-    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+    def act(self, belief: Any, observation: np.ndarray) -> np.ndarray:
         """Commands [e, a] in [−1, 1] for a belief and its observations [e, d]."""
         ...
 

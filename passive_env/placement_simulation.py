@@ -6,15 +6,17 @@ sensors, the estimate is what is known of the target's state at the last scan.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from passive_env.core import Simulation, World
-from passive_env.metrics import FARTHEST_M, MAX_NEES, Violations
+from passive_env.metrics import FARTHEST_M, MAX_NEES, Violations, at_most
 from passive_env.placement import PlacementBelief, Task, course_prior, positions
 from passive_env.rewards import Moment, evaluate
+from trackers.compiled import kernel
 from trackers.consistency import nees
 from trackers.converted_measurement import Layout
 from trackers.gaussian import Gaussian
@@ -146,10 +148,8 @@ class PlacementSimulation(Simulation):
             layout = self.layout(world.platforms[rows, :count, :3], task)
             theory = self.tracker.theoretical(world.tape.targets[rows, :, 0], layout)
             cov[rows], by_scan[rows] = theory.cov, theory.position_std_m
-        metrics = world.metrics._replace(
-            range_m=_range(world.truth, world.platforms), position_crlb_m=_position_std(cov)[:, None],
-            range_crlb_m=_range_std(cov, world.truth, world.platforms),
-        )  # fmt: skip
+        position_std, range_std, distance = _promised(cov[:, None], world.truth, world.platforms[:, :1, :3])
+        metrics = world.metrics._replace(position_crlb_m=position_std, range_crlb_m=range_std, range_m=distance)
         reports = world.reports._replace(position_crlb_m=by_scan)
         return world._replace(bound=cov, metrics=metrics, reports=reports)
 
@@ -164,26 +164,23 @@ class PlacementSimulation(Simulation):
         track = self.tracker.track(path, layout, tape.noise[rows])
         estimate, history, metrics = (_copied(part) for part in (world.estimate, world.reports, world.metrics))
         estimate.mean[rows, 0], estimate.cov[rows, 0] = track.mean[:, -1], track.cov[:, -1]
-        with np.errstate(all="ignore"):  # a diverged tracker's numbers are cut here
-            estimated, true = (np.linalg.norm(x[..., :3] - sensors[:, :1], axis=-1) for x in (track.mean, path))
-            history.range_error_m[rows] = _cut(np.abs(estimated - true), FARTHEST_M)
-            history.position_error_m[rows] = _cut(track.position_error_m, FARTHEST_M)
-            history.position[rows] = track.mean[..., :3]
-            metrics.nees[rows, 0] = _cut(nees(track.mean[:, -1], track.cov[:, -1], path[:, -1]), MAX_NEES)
-        late = slice(-self.scenario.scored_scans, None)
-        metrics.range_error_m[rows, 0] = history.range_error_m[rows, late].mean(-1)
-        metrics.position_error_m[rows, 0] = history.position_error_m[rows, late].mean(-1)
-        metrics.track_error_m[rows, 0] = history.position_error_m[rows].mean(-1)
+        judged = _judge(track.mean, path, sensors[:, 0], self.scenario.scored_scans)
+        history.range_error_m[rows], history.position_error_m[rows] = judged[:2]
+        history.position[rows] = track.mean[..., :3]
+        for figure, values in zip(("range_error_m", "position_error_m", "track_error_m"), judged[2:], strict=True):
+            getattr(metrics, figure)[rows, 0] = values
+        metrics.nees[rows, 0] = _cut(nees(track.mean[:, -1], track.cov[:, -1], path[:, -1]), MAX_NEES)
         return world._replace(estimate=estimate, reports=history, metrics=self._judged(metrics))
 
     def _expected(self, estimate: Gaussian, truth: Any, platforms: Any) -> PlacementMetrics:
         """Figures of what is expected of the course before anything is placed."""
-        error = np.linalg.norm(estimate.mean[..., :3] - truth[..., :3], axis=-1)
-        ranges = [_range(x, platforms) for x in (estimate.mean, truth)]
+        first = platforms[:, :1, :3]
+        *_, range_error, error, _ = _judge(estimate.mean, truth, first[:, 0], 1)
+        position_std, range_std, distance = _promised(estimate.cov, truth, first)
         metrics = PlacementMetrics(
-            np.abs(ranges[0] - ranges[1]), error, ranges[1], _range_std(estimate.cov[:, 0], truth, platforms),
-            _cut(nees(estimate.mean, estimate.cov, truth), MAX_NEES), np.zeros(error.shape, dtype=bool),
-            _position_std(estimate.cov), error.copy(),
+            range_error[:, None], error[:, None], distance, range_std,
+            _cut(nees(estimate.mean, estimate.cov, truth), MAX_NEES), np.zeros(distance.shape, dtype=bool),
+            position_std, error[:, None].copy(),
         )  # fmt: skip
         return self._judged(metrics)
 
@@ -205,18 +202,36 @@ def _cut(value: Any, most: float) -> Any:
     return np.where(value <= most, value, most)
 
 
-def _range(state: Any, platforms: Any) -> Any:
-    """Range [e, 1] of states [e, 1, 6] from the first sensor."""
-    return np.linalg.norm(state[..., :3] - platforms[:, :1, :3], axis=-1)
+# NumPy may add up a batch's rows in another order than a single one's; compiled sums are the same bit for bit.
 
 
-def _range_std(cov: Any, truth: Any, platforms: Any) -> Any:
-    """Standard deviation [e, 1] along the line of sight of the first sensor, of covariances [e, 6, 6]."""
-    sight = truth[:, 0, :3] - platforms[:, 0, :3]
-    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
-    return np.sqrt(np.einsum("ei,eij,ej->e", sight, cov[:, :3, :3], sight))[:, None]
+@kernel("(k,x6),(k,x6),(p3),()->(k),(k),(),(),()", "FFFiFFfff")
+def _judge(mean, path, sensor, late, range_error, position_error, scored_range, scored_position, track):
+    """Errors of every scan, their means over the last `late` scans, and over all."""
+    k = mean.shape[0]
+    scored_range[0] = scored_position[0] = track[0] = 0.0
+    for t in range(k):
+        miss = estimated = true = 0.0
+        for i in range(3):
+            miss += (mean[t, i] - path[t, i]) ** 2
+            estimated += (mean[t, i] - sensor[i]) ** 2
+            true += (path[t, i] - sensor[i]) ** 2
+        range_error[t] = at_most(abs(math.sqrt(estimated) - math.sqrt(true)), FARTHEST_M)
+        position_error[t] = at_most(math.sqrt(miss), FARTHEST_M)
+        track[0] += position_error[t] / k
+        if t >= k - late:
+            scored_range[0] += range_error[t] / late
+            scored_position[0] += position_error[t] / late
 
 
-def _position_std(cov: Any) -> Any:
-    """√(p₁₁ + p₂₂ + p₃₃) of covariances [..., 6, 6]."""
-    return np.sqrt(np.trace(cov[..., :3, :3], axis1=-2, axis2=-1))
+@kernel("(x6,x6),(x6),(p3)->(),(),()", "FFFfff")
+def _promised(cov, truth, sensor, position_std, range_std, distance):
+    """√(p₁₁ + p₂₂ + p₃₃), the standard deviation along the sensor's line of sight, and the range."""
+    squared = along = 0.0
+    for i in range(3):
+        squared += (truth[i] - sensor[i]) ** 2
+        for j in range(3):
+            along += (truth[i] - sensor[i]) * cov[i, j] * (truth[j] - sensor[j])
+    distance[0] = math.sqrt(squared)
+    range_std[0] = math.sqrt(along / squared)
+    position_std[0] = math.sqrt(cov[0, 0] + cov[1, 1] + cov[2, 2])

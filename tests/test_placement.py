@@ -235,6 +235,27 @@ def test_advancing_changes_no_world_in_place():
     map_rows(np.testing.assert_array_equal, world, kept)
 
 
+@pytest.mark.parametrize("course", ["random", "flights"])
+def test_a_wide_batch_equals_its_singles_bit_for_bit(course):
+    env = PassiveVectorEnv(NAME, num_envs=140, course=course, threads=2)
+    observation, info = env.reset(seed=50)
+    actions = np.random.default_rng(5).uniform(-1, 1, (3, 140, 3)).astype(np.float32)
+    wide = [(observation, np.zeros(140), info)]
+    for action in actions:
+        observation, reward, _, _, info = env.step(action)
+        wide.append((observation, reward, info))
+    for row in range(0, 140, 9):
+        single = PassiveEnv(NAME, course=course)
+        calls = [(*single.reset(seed=50 + row)[:1], 0.0, single.reset(seed=50 + row)[1])]
+        calls += [(step[0], step[1], step[4]) for step in map(single.step, actions[:, row])]
+        for ours, theirs in zip(wide, calls, strict=True):
+            np.testing.assert_array_equal(ours[0][row], theirs[0])
+            assert ours[1][row] == theirs[1]
+            for name in ("range_error_m", "position_error_m", "range_m", "range_crlb_m", "nees", "position_crlb_m"):
+                assert ours[2][name][row] == theirs[2][name], name
+        map_rows(lambda a, b, row=row: np.testing.assert_array_equal(a[row], b[0]), env.world.tape, single.world.tape)
+
+
 def test_episodes_out_of_step_are_those_in_step():
     """Partial resets leave sub-environments with different numbers of sensors."""
     env = PassiveVectorEnv(NAME, num_envs=2, autoreset_mode="disabled", threads=1)

@@ -208,7 +208,7 @@ class RadarPlacement(CourseScenario):
 
     def _draw_task(self, u: np.ndarray) -> Task:
         """Tasks from uniforms [e, TASK_UNIFORMS]."""
-        columns = iter(u.T)
+        columns = iter(np.ascontiguousarray(u.T))  # powers of strided numbers may differ in the last bit
 
         def between(name: str, unit: str) -> np.ndarray:
             low, high = getattr(self, f"{name}_min_{unit}"), getattr(self, f"{name}_max_{unit}")
