@@ -18,8 +18,12 @@ def course(platforms: np.ndarray) -> np.ndarray:
 
 
 def towards(headings: np.ndarray, platforms: np.ndarray, turn_per_step: float) -> np.ndarray:
-    """Turn commands [..., s] in [−1, 1] that bring platforms [..., s, n] to headings [..., s] rad, then hold them."""
-    return np.clip(wrap(headings - course(platforms)) / max(turn_per_step, 1e-12), -1.0, 1.0)
+    """Turn commands [..., s] in [−1, 1] that bring platforms [..., s, n] to headings [..., s] rad, then hold them.
+
+    A heading that is not a number, as towards a diverged track, means straight on.
+    """
+    missing = np.nan_to_num(wrap(headings - course(platforms)))
+    return np.clip(missing / max(turn_per_step, 1e-12), -1.0, 1.0)
 
 
 def line_of_sight(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:

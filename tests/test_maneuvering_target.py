@@ -419,12 +419,13 @@ SPOILT = {
 }
 
 
+@pytest.mark.parametrize("actions", ["continuous", "headings"])
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
-def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil):
+def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, actions):
     """Observation, truth of the critic, reward and all of info stay finite, with every reward term in use."""
     weights = {f.name: 1.0 for f in dataclasses.fields(ManeuveringTarget) if f.name.startswith("reward_")}
     tracker = Later(spoil)
-    env = PassiveVectorEnv(NAME, num_envs=3, threads=1, tracker=tracker, steps=8, **weights)
+    env = PassiveVectorEnv(NAME, num_envs=3, threads=1, tracker=tracker, steps=8, actions=actions, **weights)
     truth = env.scenario.make_truth_observation()
     env.reset(seed=0)
     with np.errstate(all="ignore"):
@@ -434,6 +435,7 @@ def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil):
             assert np.isfinite(reward).all()
             assert np.isfinite(truth(env.world)).all()
             assert all(np.isfinite(part).all() for name, part in info.items() if name != "reward_terms")
+            assert np.isfinite(env.world.platforms).all()
     assert tracker.asked == 9
 
 
