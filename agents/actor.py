@@ -8,6 +8,8 @@ precision. Matrix products use as many threads as `torch.set_num_threads` allows
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -42,7 +44,7 @@ class PlainActor:
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions [e, a] float32 of observations [e, d]."""
         x = torch.from_numpy(np.ascontiguousarray(observation, dtype=np.float32))
-        with torch.inference_mode():
+        with torch.inference_mode(), _one_thread():
             output = np.concatenate([self._pass(block) for block in x.split(ROWS)])
         low, high = self._space.low, self._space.high
         if self._squash:
@@ -56,6 +58,17 @@ class PlainActor:
             else:
                 x = layer(x)
         return x.numpy()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """PyTorch on one thread for a moment."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def plain_actor(model: BaseAlgorithm) -> PlainActor | None:

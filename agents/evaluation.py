@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world
-from passive_env.core import World
+from passive_env.core import World, map_rows
 from passive_env.steering import course, line_of_sight
 from passive_env.vector_env import PassiveVectorEnv
 from trackers.angles import wrap
@@ -25,7 +25,18 @@ from trackers.angles import wrap
 BLOCK = 1024
 """Episodes flown at once."""
 
-BASELINES = ("paper", "fixed", "open", "rule", "rule_tuned", "rule_average", "greedy", "planner")
+BASELINES = (
+    "paper",
+    "fixed",
+    "open",
+    "rule",
+    "rule_tuned",
+    "rule_average",
+    "rule_best",
+    "greedy",
+    "planner",
+    "optimizer",
+)
 """Policies that all others are compared with, where they take part."""
 
 COLLAPSE_M = 15e3
@@ -68,6 +79,9 @@ LATE_STEPS, LATE_ERROR_M = 5, 1e3
 class Record:
     """What a policy achieved; e episodes, k steps.
 
+    Where sensors are placed and then a track is run, errors and bounds have a column per scan (range_crlb_m only the
+    last one), and `paths` is the first episode's last world.
+
     Attributes:
         range_error_m: [e, k + 1] mean over targets, index 0 before the first decision.
         range_crlb_m: [e, k + 1] the same of the posterior Cramér–Rao bound.
@@ -86,6 +100,7 @@ class Record:
         turn_error_m: [e] position error averaged over the steps after decisions at which a target maneuvers, NaN in
             episodes without any; in scenarios whose figures tell who maneuvers.
         acceleration_error_m_s2: [e, k + 1] mean over targets; in the same scenarios.
+        scored_error_m: [e] the position error that `info` shows at the end, where that is another than the last scan's.
     """
 
     range_error_m: np.ndarray
@@ -93,7 +108,7 @@ class Record:
     lost: np.ndarray
     collapsed: np.ndarray
     decision_time_us: float
-    paths: EpisodePaths
+    paths: EpisodePaths | World
     nees: np.ndarray
     off_sight_rad: np.ndarray
     turns: np.ndarray
@@ -105,6 +120,7 @@ class Record:
     lost_late: Any = None
     turn_error_m: Any = None
     acceleration_error_m_s2: Any = None
+    scored_error_m: Any = None
 
     @property
     def score(self) -> str:
@@ -124,6 +140,8 @@ class Record:
         for kind, (error, _) in self.errors.items():
             named[f"final_{kind}_error_m"] = error[:, -1]
             named[f"mean_{kind}_error_m"] = error[:, 1:].mean(axis=1)
+        if self.scored_error_m is not None:
+            named["scored_position_error_m"] = self.scored_error_m
         if self.turn_error_m is not None and np.isfinite(self.turn_error_m).any():
             named["turn_position_error_m"] = self.turn_error_m[np.isfinite(self.turn_error_m)]
         if self.acceleration_error_m_s2 is not None:
@@ -198,13 +216,21 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
     state_size = env.world.truth.shape[-1]
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
-    position = {} if scenario.score == "range" else _position(instants.scored_error_m, instants.scored_crlb_m)
+    history = env.simulation.history(env.world)
+    figures = {
+        "range_error_m": instants.range_error_m, "range_crlb_m": instants.range_crlb_m,
+        f"{scenario.score}_error_m": instants.scored_error_m, f"{scenario.score}_crlb_m": instants.scored_crlb_m,
+    } | history  # fmt: skip
+    position = {} if scenario.score == "range" else _position(figures["position_error_m"], figures["position_crlb_m"])
+    scored = {"scored_error_m": info["position_error_m"].mean(-1)} if history else {}
+    paths = map_rows(lambda part: part[:1], env.world) if history else _first_paths(instants, env.world, scenario)
     return (
         position
+        | scored
         | _turns(turns)
         | {
-            "range_error_m": instants.range_error_m.mean(-1),
-            "range_crlb_m": instants.range_crlb_m.mean(-1),
+            "range_error_m": figures["range_error_m"].mean(-1),
+            "range_crlb_m": figures["range_crlb_m"].mean(-1),
             "lost": info["lost"].mean(-1),
             "collapsed": collapsed.mean(-1),
             "nees": info["nees"],
@@ -214,7 +240,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
             "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
             "seconds": seconds,
             "state_size": state_size,
-            "paths": _first_paths(instants, env.world, scenario),
+            "paths": paths,
         }
     )
 
@@ -401,8 +427,8 @@ def _paired_interval(values: np.ndarray, base: np.ndarray, statistic: Any, seed:
 
 
 def steps_axis(scenario: Any) -> np.ndarray:
-    """Times [k + 1] s of a record's columns."""
-    return scenario.step_s * np.arange(scenario.steps + 1)
+    """Times s of a record's columns."""
+    return scenario.step_s * np.arange(scenario.instants)
 
 
 def unique_names(names: Iterable[str]) -> list[str]:

@@ -127,7 +127,7 @@ def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
     """The parts by which a model's actions are read: one that chooses headings can fly where rates are flown."""
     if config.get("actions") != "headings" or simulation.scenario.actions != "continuous":
         return simulation
-    return Simulation(replace(simulation.scenario, actions="headings"))
+    return replace(simulation.scenario, actions="headings").make_simulation()
 
 
 def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:

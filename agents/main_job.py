@@ -13,7 +13,6 @@ from agents.learned import CONFIG, LearnedPolicy
 from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.report import as_markdown, crossing_as_markdown, write_crossing, write_evaluation
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
-from passive_env.core import Simulation
 
 HELD_OUT = "held-out"
 FINAL_SEED = 30_000_000
@@ -113,7 +112,7 @@ def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> 
 def _make_policy(name: str, scenario_name_: str, scenario: Any, known: Sequence[str]) -> Policy:
     if name in known or not (Path(name).is_dir() or (Path(name) / CONFIG).exists()):
         return make_policy(name, scenario)
-    return LearnedPolicy(name, environment_id(scenario_name_), Simulation(scenario))
+    return LearnedPolicy(name, environment_id(scenario_name_), scenario.make_simulation())
 
 
 def _free_folder(folder: Path, resume: bool) -> Path:

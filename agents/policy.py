@@ -11,23 +11,23 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from passive_env.belief import Belief
 from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides where the platforms go."""
+    """Decides where the platforms go. A belief is a `passive_env.belief.Belief`, or a family's own tuple."""
 
-    def reset(self, belief: Belief) -> None:
+    def reset(self, belief: Any) -> None:
         """Begin episodes; called once before the first `act`."""
         ...
 
-    def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
+    def act(self, belief: Any, observation: np.ndarray) -> np.ndarray:
         """Commands [e, a] in [−1, 1] for a belief and its observations [e, d]."""
         ...
 
@@ -65,6 +65,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
     from agents.fixed import FIXED, PAPER, PAPER_IN_SPACE, STEADY
     from agents.greedy import FIX_GREEDY, GREEDY, GREEDY_IN_SPACE
+    from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
@@ -74,6 +75,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         Ownship: {**STEADY, **ONE_PLATFORM, **searching},
         BearingScenario: {**STEADY, **searching},
         ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
+        RadarPlacement: {**PLACEMENT, "random": STEADY["random"]},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -12,11 +12,15 @@ from agents import pictures
 from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
+from agents.placement_pictures import placement_maps
+from passive_env.catalogue.placement import RadarPlacement
 
 METRICS = {"final": "final", "mean": "time average"}
 """The errors that are compared, and their names in tables."""
 MANEUVERS = {"turn_position_error_m": "while maneuvering", "mean_acceleration_error_m_s2": "acceleration"}
 """What is compared besides where targets are known to maneuver, and its names."""
+SCORED = {"scored_position_error_m": "last scans"}
+"""The error by which an episode of placement is scored, and its name."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
 
@@ -33,18 +37,24 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
         title,
         score,
     )
-    paths = {name: record.paths for name, record in records.items()}
-    geometry = pictures.geometry(times, paths, f"{title}: the first one")
-    flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
-    platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [
         write_json(out / "evaluation.json", summary),
         atomic_write(out / "evaluation.csv", as_csv(summary)),
         write_text(out / "evaluation.md", as_markdown(summary)),
         save_figure(out / f"{score}_error_over_time.png", over_time),
-        save_figure(out / "geometry.png", geometry),
-        save_figure(out / "maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs")),
+        *(save_figure(out / name, figure) for name, figure in _of_geometry(title, records, scenario, times)),
     ]
+
+
+def _of_geometry(title: str, records: Mapping[str, Record], scenario: Any, times: Any) -> list[tuple[str, Any]]:
+    """File names and figures of what the policies did."""
+    paths: dict[str, Any] = {name: record.paths for name, record in records.items()}
+    if isinstance(scenario, RadarPlacement):
+        return [("placement.png", placement_maps(paths, scenario, f"{title}: the first one"))]
+    geometry = pictures.geometry(times, paths, f"{title}: the first one")
+    flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
+    platform = "the reference station's courses" if scenario.stations > 1 else "courses"
+    return [("geometry.png", geometry), ("maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs"))]
 
 
 def as_csv(summary: Mapping[str, Any]) -> str:
@@ -68,7 +78,7 @@ def _metrics(summary: Mapping[str, Any]) -> dict[str, str]:
     """Errors that count, and their names in tables."""
     shown = next(iter(summary["policies"].values()))
     counted = {f"{when}_{summary['score']}_error_m": words for when, words in METRICS.items()}
-    return counted | {name: words for name, words in MANEUVERS.items() if name in shown}
+    return counted | {name: words for name, words in (SCORED | MANEUVERS).items() if name in shown}
 
 
 def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -131,7 +141,8 @@ def _note(summary: Mapping[str, Any]) -> str:
     honest = nees_scale(summary["state_size"])
     return (
         f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
-        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}{_maneuver_note(summary)}"
+        f"seed {summary['seed']}, mean over targets. {_late_note(summary)}"
+        f"{_scored_note(summary)}{_maneuver_note(summary)}"
         "Bound: posterior Cramér–Rao bound at the end, mean; it is a standard deviation (a mean absolute error may lie "
         "20 % below it) for targets as restless as the filter assumes (those that fly straight for long can be ranged "
         "better). Collapsed: ends more than "
@@ -145,6 +156,12 @@ def _late_note(summary: Mapping[str, Any]) -> str:
     if summary["score"] == "range":
         return ""
     return f"Lost late: more than {LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps. "
+
+
+def _scored_note(summary: Mapping[str, Any]) -> str:
+    if not SCORED.keys() & _metrics(summary).keys():
+        return ""
+    return "Last scans: position error over the scans that are scored (final: after the very last). "
 
 
 def _maneuver_note(summary: Mapping[str, Any]) -> str:

@@ -34,7 +34,6 @@ from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
 from passive_env.catalogue import environment_id, make_scenario
-from passive_env.core import Simulation
 from passive_env.vector_env import PassiveVectorEnv
 
 CHECKPOINT = "checkpoint.zip"
@@ -94,7 +93,7 @@ class Run:
         """What is saved beside the model."""
         return {
             "environment": environment_id(self.scenario_name),
-            "observation_digest": observation_digest(Simulation(self.training_scenario)),
+            "observation_digest": observation_digest(self.training_scenario.make_simulation()),
             "actions": self.training_scenario.actions,
             "algo": self.algo,
             "seed": self.seed,
@@ -233,7 +232,7 @@ class Checkpoints(BaseCallback):
                 self._references[name] = float(record.final.mean())
         record = fly(
             scenario,
-            ModelPolicy(_flown(self.model), Simulation(self._run.training_scenario)),
+            ModelPolicy(_flown(self.model), self._run.training_scenario.make_simulation()),
             EVALUATION_EPISODES,
             EVALUATION_SEED,
         )

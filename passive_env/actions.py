@@ -14,8 +14,12 @@ import numpy as np
 from gymnasium import spaces
 
 from passive_env.belief import Belief
-from passive_env.steering import course, line_of_sight, outward, towards
+from passive_env.steering import course, left_to_turn, line_of_sight, outward
 from trackers.angles import wrap
+
+HARD_TURN_DEG = 60.0
+"""A platform that turns as hard as it can is taken to head for this much off its course: whoever learns from such an
+action may then err without turning the other way."""
 
 
 class Continuous:
@@ -72,20 +76,24 @@ class Headings(Continuous):
 
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
         """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
-        turns = towards(self._aims(values, belief), belief.platforms, self._turn_per_step)
-        return np.concatenate([turns, values[:, self._platforms :]], axis=1)
+        left = self._left_to_turn(values, belief)
+        return np.concatenate([self._turns(left), values[:, self._platforms :]], axis=1)
 
-    def _aims(self, values: np.ndarray, belief: Belief) -> np.ndarray:
-        """Headings [e, s] rad to turn to."""
-        off = math.pi * outward(belief.platforms, belief.mean) * values[:, : self._platforms]
-        return line_of_sight(belief.platforms, belief.mean) + off
+    def _left_to_turn(self, values: np.ndarray, belief: Belief) -> np.ndarray:
+        return left_to_turn(belief.platforms, belief.mean, math.pi * values[:, : self._platforms])
+
+    def _turns(self, left: np.ndarray) -> np.ndarray:
+        """Commands [e, s] of what is left to turn [e, s] rad: all of it, or as much as can be."""
+        return np.clip(left / max(self._turn_per_step, 1e-12), -1.0, 1.0)
 
     def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
         """Actions [e, a] that mean the commands [e, a] to a belief, which is needed."""
         if belief is None:
             raise TypeError("encode(commands, belief): headings off a line of sight need the belief")
         n = self._platforms
-        aim = course(belief.platforms) + self._turn_per_step * commands[:, :n]
+        turns = commands[:, :n]
+        ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step * turns, math.radians(HARD_TURN_DEG) * turns)
+        aim = course(belief.platforms) + ahead
         off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
         return np.concatenate([off / math.pi, commands[:, n:]], axis=1).astype(np.float32)
 
@@ -106,10 +114,9 @@ class HeadingsAndSpeeds(Headings):
 
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
         """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
-        commands = super().commands(values, belief)
-        far = np.abs(wrap(self._aims(values, belief) - course(belief.platforms))) > 0.5 * math.pi
-        commands[:, self._platforms :][far] = -1.0
-        return commands
+        left = self._left_to_turn(values, belief)
+        speeds = np.where(np.abs(left) > 0.5 * math.pi, -1.0, values[:, self._platforms :])
+        return np.concatenate([self._turns(left), speeds], axis=1)
 
 
 class Discrete:

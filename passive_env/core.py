@@ -8,6 +8,8 @@ Nothing here knows which family of scenarios runs; the scenario names the parts:
     make_metrics()              one with begin, advance, violations (`passive_env.metrics.BearingMetrics`)
     make_tracker, make_actions, make_observation, reward_weights
 
+Scenarios whose episodes run otherwise make a simulation of their own, as `passive_env.placement_simulation` is one.
+
 Everything is a pure function of the world and the action: a `World` is never changed in place, so a planner may keep
 one and imagine.
 """
@@ -115,6 +117,10 @@ class Simulation:
         """What `info` shows besides the reward's terms, each [e, …]; truth is used here."""
         depths = {f"{name}_violation": depth for name, depth in world.violations._asdict().items()}
         return world.metrics._asdict() | depths | self.sensors.info(world.reports)
+
+    def history(self, world: World) -> dict[str, Any]:
+        """Figures of finished episodes at the instants that `info` does not show one by one; here there are none."""
+        return {}
 
 
 def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:

@@ -1,8 +1,9 @@
 """What the agent earns: weighted terms, each a pure function of one instant with a unit. Truth may be used here.
 
 A term maps a `Moment` to [e] numbers; larger is better. The scenario holds the weights; terms of weight 0 are not
-computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` is for scenarios whose
-metrics have it, `turn_position_error` and `acceleration_error` for those with a maneuvering target.
+computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` and `position_gain` are for
+scenarios whose metrics have that bound, `turn_position_error` and `acceleration_error` for those with a maneuvering
+target.
 """
 
 from __future__ import annotations
@@ -97,6 +98,16 @@ def log_position_error(moment: Moment):
     return math.log(1e3) - _mean_log(moment.metrics.position_error_m, ERROR_FLOOR_M)
 
 
+def final_log_position_error(moment: Moment):
+    """`log_position_error` at the episode's last step, 0 before [nepers]."""
+    return np.where(moment.final, log_position_error(moment), 0.0)
+
+
+def position_gain(moment: Moment):
+    """Decrease of log position bound over the step, mean over targets [nepers]."""
+    return _mean_log(moment.previous.position_crlb_m, 1.0) - _mean_log(moment.metrics.position_crlb_m, 1.0)
+
+
 def relative_position_error(moment: Moment):
     """−position error / range, mean over targets, each at most 10 [1]."""
     return -_mean_ratio(moment.metrics.position_error_m, moment.metrics.range_m)
@@ -167,6 +178,8 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         nogo,
         lost_track,
         log_position_error,
+        final_log_position_error,
+        position_gain,
         relative_position_error,
         position_error,
         final_position_error,

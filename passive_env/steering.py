@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from passive_env.kinematics import plan_view
-from trackers.angles import wrap
+from trackers.angles import wrap, wrap_scalar
+from trackers.compiled import kernel
 
 
 def course(platforms: np.ndarray) -> np.ndarray:
@@ -40,3 +43,26 @@ def outward(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
     across = sight[..., 0] * apart[..., 1] - sight[..., 1] * apart[..., 0]
     on_it = np.where(np.arange(places.shape[-2]) == 0, -1.0, 1.0)
     return np.where(across > 0.0, 1.0, np.where(across < 0.0, -1.0, on_it))
+
+
+@kernel("(s,n),(m,n),(s)->(s)")
+def _left_to_turn(platforms, mean, off, out):
+    stations, tracks, v = platforms.shape[0], mean.shape[0], platforms.shape[1] // 2
+    x, y, px, py = 0.0, 0.0, 0.0, 0.0
+    for m in range(tracks):
+        x, y = x + mean[m, 0] / tracks, y + mean[m, 1] / tracks
+    for i in range(stations):
+        px, py = px + platforms[i, 0] / stations, py + platforms[i, 1] / stations
+    for i in range(stations):
+        across = (x - px) * (platforms[i, 1] - py) - (y - py) * (platforms[i, 0] - px)
+        side = 1.0 if across > 0.0 or (across == 0.0 and i > 0) else -1.0
+        sight = math.atan2(y - platforms[i, 1], x - platforms[i, 0])
+        out[i] = wrap_scalar(sight + side * off[i] - math.atan2(platforms[i, v + 1], platforms[i, v]))
+
+
+def left_to_turn(platforms: np.ndarray, mean: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Turns [..., s] rad that bring platforms [..., s, n] to headings `off` [..., s] rad outwards of their sights.
+
+    Sights run to the middle of the tracks [..., m, n]; outwards is as of `outward`.
+    """
+    return _left_to_turn(platforms, mean, off)

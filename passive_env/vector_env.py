@@ -64,7 +64,7 @@ class PassiveVectorEnv(VectorEnv):
         self.render_mode = render_mode
         self.num_envs = num_envs
         self.scenario.check_flights()
-        self.simulation = Simulation(self.scenario)
+        self.simulation: Simulation = self.scenario.make_simulation()
         self.single_observation_space = self.simulation.observation.space
         self.single_action_space = self.simulation.actions.space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

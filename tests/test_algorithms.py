@@ -136,7 +136,7 @@ def test_every_scenario_has_a_preset_from_which_a_model_can_be_made(algo, name, 
     assert run.timesteps % (run.scenario.steps * run.preset["envs"]) == 0
     run = dataclasses.replace(run, preset={key: part for key, part in run.preset.items() if key != "imitation"})
     env = Sb3VecEnv(PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step"))
-    policy = ModelPolicy(new_model(run, env), Simulation(run.scenario))
+    policy = ModelPolicy(new_model(run, env), run.scenario.make_simulation())
     assert policy.act(None, env.reset()).shape == (2, run.scenario.make_actions().size)
 
 

@@ -171,8 +171,9 @@ def test_out_that_is_a_file_is_refused_before_measuring(tmp_path, capsys):
     assert "must name a folder" in capsys.readouterr().err
 
 
-def test_ppo_leaves_no_files_and_torch_as_it_was(tmp_path, monkeypatch):
+def test_ppo_leaves_no_files_and_torch_as_it_was(tmp_path, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path_factory.mktemp("inductor")))  # PyTorch's own, if any
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     before = torch.get_num_threads()

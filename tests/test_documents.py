@@ -23,9 +23,11 @@ FAMILIES = {
     "Ownship": ROOT / "docs" / "ownship.md",
     "AngleFusion": ROOT / "docs" / "angle_fusion.md",
     "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
+    "RadarPlacement": ROOT / "docs" / "radar_placement.md",
 }
 """Environments and the documents that describe them."""
-WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "imm_mie_trackers.md", *FAMILIES.values()]
+TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement")]
+WITH_CODE = [ROOT / "README.md", *TRACKER_PAGES, *FAMILIES.values()]
 
 
 def blocks(document: Path) -> list[str]:

@@ -44,6 +44,8 @@ VARIANTS = (
     {"stations": 3, "detection_probability": 0.7},
     {"tracker": "imm3"},
     {"tracker": "mie"},
+    {"angle_only": 1},
+    {"tracker": "iterated"},
     {"render_mode": "rgb_array"},
 )
 
@@ -91,6 +93,12 @@ INFO_OF_MANEUVERS = {
 """What those with a maneuvering target show besides."""
 PARTS_OF_MANEUVERS = {"acceleration": np.float64, "model_probability": np.float64, "detected": np.bool_}
 """The same with an axis of components or models."""
+INFO_OF_PLACEMENT = {"position_crlb_m": np.float64, "track_error_m": np.float64}
+"""What those in which sensors are placed show besides."""
+PER_EPISODE = "task."
+"""Observed numbers that are the same throughout an episode."""
+MIDDLE = (".azimuth_sin",)
+"""Those that the middle one of discrete choices leaves as they were."""
 REPORTS = (".assigned", ".returns", ".missed", ".available", ".detected")
 """Observed numbers that tell what the last scan brought."""
 FOUND = ("_acceleration", ".model_probability")
@@ -119,7 +127,7 @@ def arrays_of(observation, info):
 
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
     known = ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")
-    known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow", "ManeuveringTarget")
+    known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow", "ManeuveringTarget", "RadarPlacement")
     assert {f"passive/{name}-v0" for name in known} <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
@@ -255,12 +263,21 @@ def test_every_observed_number_changes_during_an_episode(env_id, variant):
         for f, varies in zip(env.unwrapped.observation_fields, np.ptp(seen, axis=0) > 0, strict=True)
         if not varies
     }
-    may = REPORTS + FOUND * ("steps" in variant or "carrier" in variant or variant.get("course") == "flights")
+    may = (*REPORTS, PER_EPISODE) + MIDDLE * (variant.get("actions") == "discrete")
+    may += FOUND * ("steps" in variant or "carrier" in variant or variant.get("course") == "flights")
     assert {name for name in constant if not any(part in name for part in may)} == set()
     if variant.get("detection_probability", 1.0) < 1.0:
         assert {
             name for name in constant if variant.get("availability0_min", 1.0) < 1.0 or "avail" not in name
         } == set()
+
+
+@over_registry
+def test_what_is_constant_in_an_episode_differs_between_episodes(env_id, variant):
+    env = make(env_id, variant)
+    told = [field.name.startswith(PER_EPISODE) for field in env.unwrapped.observation_fields]
+    first, second = (env.reset(seed=seed)[0][told] for seed in (1, 2))
+    assert not np.any(first == second)
 
 
 def test_time_left_and_last_action_fields_say_what_they_name():
@@ -284,6 +301,7 @@ def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     targets = env.unwrapped.scenario.targets
     shown = INFO | (INFO_IN_SPACE if "AngleFusion" in env_id else {})
     shown |= INFO_OF_MANEUVERS if "ManeuveringTarget" in env_id else {}
+    shown |= INFO_OF_PLACEMENT if "Placement" in env_id else {}
     parts = PARTS_OF_MANEUVERS if "fixed" in shown else {}
     for _, reward, truncated, info in episode(env):
         assert set(info) == {*shown, *parts, *VIOLATIONS, "reward_terms"}

@@ -15,7 +15,7 @@ from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
-from passive_env.steering import course, line_of_sight, outward
+from passive_env.steering import course, left_to_turn, line_of_sight, outward
 from trackers.angles import wrap
 
 LIMIT = np.radians(10.0)
@@ -40,9 +40,21 @@ def test_outward_is_left_for_the_left_platform():
     assert np.array_equal(outward(behind.platforms, behind.mean), [[1.0, -1.0]])
 
 
+def test_what_is_left_to_turn_is_the_same_compiled_and_written_out():
+    for name in ("AngleFusion", "ManeuveringTarget"):
+        env = PassiveVectorEnv(name, num_envs=64)
+        env.reset(seed=0)
+        belief = env.belief()
+        off = np.random.default_rng(0).uniform(-np.pi, np.pi, (64, 2))
+        aim = line_of_sight(belief.platforms, belief.mean) + outward(belief.platforms, belief.mean) * off
+        expected = wrap(aim - course(belief.platforms))
+        np.testing.assert_allclose(left_to_turn(belief.platforms, belief.mean, off), expected, atol=1e-9)
+
+
 def test_platforms_in_line_with_the_target_go_to_different_sides():
     belief = belief_of([(0.0, 0.0), (-5000.0, 0.0)], [0.0, 0.0])
     assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, 1.0]])
+    assert np.allclose(left_to_turn(belief.platforms, belief.mean, np.array([[0.5, 0.5]])), [[-0.5, 0.5]])
 
 
 def test_a_heading_is_an_angle_off_the_platforms_own_line_of_sight():
@@ -82,7 +94,7 @@ def test_encoded_commands_are_the_same_commands_again(name):
     env = PassiveVectorEnv(name, num_envs=64, actions="headings")
     env.reset(seed=1)
     belief, actions = env.belief(), env.simulation.actions
-    commands = np.random.default_rng(2).uniform(-0.999, 0.999, (64, 4))
+    commands = np.clip(np.random.default_rng(2).uniform(-1.5, 1.5, (64, 4)), -1.0, 1.0)
     again = actions.commands(actions.decode(actions.encode(commands, belief), 64), belief)
     np.testing.assert_allclose(again, commands, atol=1e-5)
     with pytest.raises(TypeError, match="need the belief"):

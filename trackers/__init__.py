@@ -6,6 +6,8 @@ from trackers.angle_ekf import AngleEkf
 from trackers.angle_filter import AngleFilter
 from trackers.angle_pdaf import AngleNearestNeighbour, AnglePdaf, AnglePdafSequential
 from trackers.contract import Scan, Tracker, Update
+from trackers.converted_fusion import ConvertedFusion, PolarScan
+from trackers.converted_measurement import Layout
 from trackers.fix_contract import BearingScan, ManeuverTracker, ManeuverUpdate
 from trackers.fix_tracker import FixTracker
 from trackers.fused_ekf import FusedEkf
@@ -51,16 +53,19 @@ __all__ = [
     "AngleUpdate",
     "Bank",
     "BearingScan",
+    "ConvertedFusion",
     "FixTracker",
     "FusedEkf",
     "Gaussian",
     "Imm3",
     "ImmMie",
     "InputEstimation",
+    "Layout",
     "ManeuverTracker",
     "ManeuverUpdate",
     "Mie",
     "ModelBank",
+    "PolarScan",
     "RpEkf",
     "Scan",
     "Tracker",

@@ -69,6 +69,24 @@ def mahalanobis_4(L, d):
 
 
 @helper
+def invert_3(A, inverse):
+    """Fill `inverse` [3, 3] with A⁻¹ of symmetric positive definite A [3, 3]; returns det A."""
+    l00 = _pivot(A[0, 0], A[0, 0])
+    l10, l20 = A[1, 0] / l00, A[2, 0] / l00
+    l11 = _pivot(A[1, 1] - l10 * l10, A[1, 1])
+    l21 = (A[2, 1] - l20 * l10) / l11
+    l22 = _pivot(A[2, 2] - l20 * l20 - l21 * l21, A[2, 2])
+    a, b, c = 1.0 / l00, 1.0 / l11, 1.0 / l22
+    d, e = -l10 * a * b, -l21 * b * c
+    f = -(l20 * a + l21 * d) * c
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = a * a + d * d + f * f, b * b + e * e, c * c
+    inverse[0, 1] = inverse[1, 0] = d * b + f * e
+    inverse[0, 2] = inverse[2, 0] = f * c
+    inverse[1, 2] = inverse[2, 1] = e * c
+    return (l00 * l11 * l22) ** 2
+
+
+@helper
 def mahalanobis_with_factor(factor, x):
     """xᵀ(LLᵀ)⁻¹x for a lower factor [d, d]; x [d] is overwritten by L⁻¹x."""
     d = x.shape[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from passive_env.catalogue import angle_fusion, maneuvering, ownship, two_station
+from passive_env.catalogue import angle_fusion, maneuvering, ownship, placement, two_station
 from passive_env.scenario import Scenario
 
 SCENARIOS: dict[str, Any] = {
@@ -13,6 +13,7 @@ SCENARIOS: dict[str, Any] = {
     **ownship.CATALOGUE,
     **angle_fusion.CATALOGUE,
     **maneuvering.CATALOGUE,
+    **placement.CATALOGUE,
 }
 """All scenarios by name."""
 

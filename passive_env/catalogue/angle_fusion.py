@@ -247,7 +247,7 @@ class AngleFusion(TrackingScenario):
             platforms, start = _random_starts(u, self._limits(), np.empty((self.stations, 6)))
         if self.course == "flights":
             windows = self.flight_paths.windows(u[:, COURSE_UNIFORMS - 1], self.steps)
-            return platforms, _place_flight(start, windows)[:, :, None]
+            return platforms, place_flight_in_space(start, windows)[:, :, None]
         time_s = self.step_s * np.arange(self.steps + 1)[:, None]
         velocity = np.broadcast_to(start[:, None, 3:], (len(u), len(time_s), 3))
         return platforms, np.concatenate([start[:, None, :3] + time_s * velocity, velocity], axis=-1)[:, :, None]
@@ -282,6 +282,15 @@ def _random_starts(u, limits, like, platforms, start):
     start[2] = limits[10] + (limits[11] - limits[10]) * u[10]
     start[3], start[4] = speed * math.cos(course), speed * math.sin(course)
     start[5] = limits[12] * (2.0 * u[11] - 1.0)
+
+
+def place_flight_in_space(start: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Recorded windows [..., k, 6] turned and shifted to starts [..., 6] on their courses, at the recorded altitudes.
+
+    Returns:
+        [..., k, 6].
+    """
+    return _place_flight(start, window)
 
 
 @kernel("(x6),(k,x6)->(k,x6)")

@@ -1,28 +1,24 @@
-"""What all scenarios share in which a tracker follows targets: course and reward fields, recorded flights."""
+"""What all scenarios share in which a tracker follows targets: the tracker, limits of the platforms, rewards."""
 
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
-from passive_env.flights import FlightPaths, load_flights
+from passive_env.catalogue.course import CourseScenario
 from passive_env.rewards import TERMS
-from passive_env.scenario import Scenario, choice, free, integer, number
+from passive_env.scenario import free, number
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingScenario(Scenario):
+class TrackingScenario(CourseScenario):
     """Base of scenarios that are tracked; a family adds its own fields and the parts that `passive_env.core` names."""
 
     discs: ClassVar[int] = 0
     """Number of no-go discs; a property where there is a choice."""
-    ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
-    """Pairs of fields of which the first must not exceed the second."""
-
     trackers: ClassVar[Mapping[str, Any]] = {}
     """Makers of the family's trackers by name."""
     tracker_verbs: ClassVar[tuple[str, ...]] = ()
@@ -33,16 +29,11 @@ class TrackingScenario(Scenario):
     reference: ClassVar[int] = -1
     """Index of the platform from which ranges are measured: the last one, unless a family says otherwise."""
 
-    course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
-    steps: int = integer(45, 1, 10_000, "decisions per episode")
-    step_s: float = number(2.0, 0.1, 60.0, "time between scans")
     tracker: Any = free(None, "name of a tracker, or an object with the tracker contract")
     range_floor_m: float = number(5e3, 1.0, 1e7, "nearest range the tracker looks for a target at first")
     range_cap_m: float = number(2e5, 1.0, 1e7, "farthest")
     max_turn_rate_deg_s: float = number(5.0, 0.0, 45.0, "turn rate at action ±1")
     standoff_m: float = number(0.0, 0.0, 1e5, "distance platforms should keep from targets; 0 for none")
-    flights: Any = free(None, "file of recorded flights for course='flights'; None takes the shipped one")
-    flight_split: str = choice("train", ("train", "test", "all"), "aircraft used for course='flights'")
     reward_log_range_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_relative_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_range_error: float = number(0.0, 0.0, 1e6, "weight")
@@ -56,19 +47,9 @@ class TrackingScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for low, high in self.ordered:
-            if getattr(self, low) > getattr(self, high):
-                raise self._error(low, f"must not exceed {high} = {getattr(self, high)}")
-        if not isinstance(self.flights, (str, os.PathLike, type(None))):
-            raise self._error("flights", "must be the path of a file, or None")
-        if self.flights is not None and self.course != "flights":
-            raise self._error("flights", f"is not used with course={self.course!r}; add course='flights'")
         if self.range_floor_m >= self.range_cap_m:
             raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
         self.make_tracker()
-
-    def _error(self, field: str, allowed: str) -> ValueError:
-        return ValueError(f"{type(self).__name__}.{field} = {getattr(self, field)!r}: {allowed}")
 
     def make_tracker(self) -> Any:
         """The tracker object; a name is made with this scenario's settings.
@@ -97,20 +78,6 @@ class TrackingScenario(Scenario):
         if self.discs == 0:
             weights["nogo"] = 0.0
         return {name: weight for name, weight in weights.items() if weight > 0.0}
-
-    def check_flights(self) -> None:
-        """Load the recorded flights now, so that a bad file is found before anything else is done.
-
-        Raises:
-            OSError, ValueError: missing or malformed file, or no flight long enough for an episode.
-        """
-        if self.course == "flights":
-            self.flight_paths.window_starts(self.steps)
-
-    @cached_property
-    def flight_paths(self) -> FlightPaths:
-        """Recorded flights of the chosen part at this scenario's instants."""
-        return load_flights(self.flights).split(self.flight_split).resample(self.step_s)
 
 
 VERBS = ("initiate", "predict", "update", "estimate")

@@ -1,0 +1,287 @@
+"""Policies that place sensors: the paper's layouts, rules, greedy one by one, and a slow search over whole layouts.
+
+All decide from the belief. Promised errors are the theoretical covariance's, averaged (in logarithms) over the courses
+that stand for all (`passive_env.placement.representative_courses`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import differential_evolution, minimize
+
+from agents.policy import Policy
+from passive_env.placement import (
+    COURSES,
+    PlacementBelief,
+    Task,
+    commands,
+    positions,
+    representative_courses,
+    seen_from_entry,
+)
+from trackers.compiled import Blocks
+
+Rule = Callable[[Task, int], tuple[Any, Any, Any]]
+"""Azimuths [rad], distances and heights [m], each [e, n] or what broadcasts to it, of a task's n sensors."""
+
+_AXES = (np.linspace(-1.0, 1.0, 17), (-1.0, 0.0), np.linspace(-1.0, 1.0, 5))
+GRID = np.stack(np.meshgrid(*_AXES, indexing="ij"), axis=-1).reshape(-1, 3)
+"""Commands [c, 3] among which the greedy policy chooses."""
+
+BLOCK = 8
+"""Episodes whose candidates are weighed in one go."""
+
+
+class ByRule:
+    """Places all sensors by a rule of the task.
+
+    Args:
+        rule: says where.
+        sensors: how many.
+    """
+
+    def __init__(self, rule: Rule, sensors: int):
+        self._rule, self._sensors = rule, sensors
+
+    def reset(self, belief: PlacementBelief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, 3] for the next sensor."""
+        turn = next_sensor(belief)
+        return layout_commands(self._rule, belief.task, self._sensors)[np.arange(len(turn)), turn]
+
+
+def next_sensor(belief: PlacementBelief) -> np.ndarray:
+    """[e] number of the sensor to be placed, counted from 0; the last one once all are placed."""
+    n = belief.platforms.shape[1]
+    return np.minimum(n - belief.steps_left, n - 1)
+
+
+def layout_commands(rule: Rule, task: Task, sensors: int) -> np.ndarray:
+    """Commands [e, n, 3] of a rule's whole layouts."""
+    shape = (len(task.std), sensors)
+    azimuth, distance, height = (np.broadcast_to(part, shape).T for part in rule(task, sensors))
+    return np.stack([commands(*place, task) for place in zip(azimuth, distance, height, strict=True)], axis=1)
+
+
+# -- the paper's layouts and rules -------------------------------------------------------------------------------------
+
+
+def spaced(step_deg: float) -> Rule:
+    """The paper's: on the ground, one sensor at the site and every other `step_deg` further to the left."""
+
+    def rule(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+        return math.radians(step_deg) * np.arange(sensors), task.entry_distance_m[:, None], 0.0
+
+    return rule
+
+
+def even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+    """On the ground, as near as allowed, evenly all round the expected entry or over what is allowed of it."""
+    return _even_azimuths(task, sensors), task.distance_m[:, :1], 0.0
+
+
+def stacked(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+    """One above the other, evenly up to the highest place, as near as allowed."""
+    return 0.0, task.distance_m[:, :1], task.height_limit_m[:, None] * np.arange(sensors) / max(sensors - 1, 1)
+
+
+def stacked_or_even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+    """`stacked` where elevation is measured worse than azimuth, else `even`.
+
+    The direction across both lines of sight keeps its error: it should be the well measured one.
+    """
+    worse = (task.std[:, 2] > task.std[:, 1])[:, None]
+    choices = zip(stacked(task, sensors), even(task, sensors), strict=True)
+    azimuth, distance, height = (np.where(worse, one, other) for one, other in choices)
+    return azimuth, distance, height
+
+
+def tripod(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+    """`even` in azimuth, every other sensor at the highest place: lines of sight that lie in no common plane."""
+    return (
+        _even_azimuths(task, sensors),
+        task.distance_m[:, :1],
+        task.height_limit_m[:, None] * (np.arange(sensors) % 2),
+    )
+
+
+def _even_azimuths(task: Task, sensors: int) -> np.ndarray:
+    step = np.minimum(2.0 * math.pi / sensors, 2.0 * task.azimuth_limit_rad / max(sensors - 1, 1))
+    return step[:, None] * (np.arange(sensors) - 0.5 * (sensors - 1))
+
+
+# -- promised errors ---------------------------------------------------------------------------------------------------
+
+
+class Promise:
+    """Expected log of the position's standard deviation at the last scan [m].
+
+    Args:
+        scenario: supplies the filter, kinds and scans.
+    """
+
+    def __init__(self, scenario: Any):
+        self._scenario, self._simulation = scenario, scenario.make_simulation()
+
+    def __call__(self, task: Task, layouts: np.ndarray) -> np.ndarray:
+        """[e, c] of candidate layouts, commands [e, c, n, 3]; n may be less than the number of all sensors."""
+        scenario = self._scenario
+        path = representative_courses(task, scenario.scans, scenario.step_s)[:, :, None]
+        layout = self._simulation.layout(positions(layouts, task)[:, None], task)
+        std = self._simulation.tracker.theoretical(path, layout).position_std_m[..., -1]
+        return np.tensordot([weight for _, weight in COURSES], np.log(std), axes=(0, 1))
+
+
+def rows_of(task: Task, rows: slice) -> Task:
+    """The tasks of some episodes."""
+    return Task(*(part[rows] for part in task))
+
+
+class BestRule:
+    """Keeps to the rule whose layout promises least.
+
+    Args:
+        scenario: what to act in.
+    """
+
+    def __init__(self, scenario: Any):
+        self._promise, self._sensors = Promise(scenario), scenario.steps
+
+    def reset(self, belief: PlacementBelief) -> None:
+        """Nothing to remember."""
+
+    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, 3] for the next sensor."""
+        layouts = np.stack([layout_commands(rule, belief.task, self._sensors) for rule in RULES], axis=1)
+        rows, best = np.arange(len(layouts)), self._promise(belief.task, layouts).argmin(axis=1)
+        return layouts[rows, best, next_sensor(belief)]
+
+
+# -- searches ----------------------------------------------------------------------------------------------------------
+
+
+class Greedy:
+    """Places every sensor where the sensors so far and this one promise the least error; looks no further ahead.
+
+    Args:
+        scenario: what to act in.
+    """
+
+    def __init__(self, scenario: Any):
+        self._promise = Promise(scenario)
+
+    def reset(self, belief: PlacementBelief) -> None:
+        """Nothing to remember: the belief holds the sensors placed."""
+
+    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
+        """The best of `GRID` for the next sensor, [e, 3]."""
+        best = np.zeros((len(belief.steps_left), 3))
+        turn = next_sensor(belief)
+        for count in np.unique(turn):  # at most as many as there are sensors
+            rows = np.flatnonzero(turn == count)
+            best[rows] = self._choose(belief, rows, int(count))
+        return best
+
+    def _choose(self, belief: PlacementBelief, rows: np.ndarray, count: int) -> np.ndarray:
+        task = Task(*(part[rows] for part in belief.task))
+        placed = commands_of(belief.platforms[rows, :count, :3], task)
+
+        def choose(part: slice) -> np.ndarray:
+            before = np.broadcast_to(placed[part, None], (part.stop - part.start, len(GRID), count, 3))
+            ours = np.broadcast_to(GRID[:, None], (*before.shape[:2], 1, 3))
+            layouts = np.concatenate([before, ours], axis=2)
+            return GRID[self._promise(rows_of(task, part), layouts).argmin(axis=1)]
+
+        blocks = Blocks(len(rows), block=BLOCK)
+        return np.concatenate(blocks.map(choose, blocks.slices))
+
+
+def commands_of(position: np.ndarray, task: Task) -> np.ndarray:
+    """Commands [e, n, 3] that put sensors at positions [e, n, 3] m."""
+    seen = [seen_from_entry(position[:, i], task.entry_distance_m) for i in range(position.shape[1])]
+    return np.stack([commands(*place, task) for place in seen], axis=1) if seen else np.empty((len(position), 0, 3))
+
+
+class Search:
+    """Looks for the best layout of all sensors at once with `scipy.optimize`: what the others are measured by.
+
+    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best. It plans all
+    sensors at the first decision and keeps to the plan; episode after episode, a good part of a second each.
+
+    Args:
+        scenario: what to act in.
+        seed: of the search.
+    """
+
+    GENERATIONS, PER_NUMBER, STEP = 40, 8, 1e-4
+
+    def __init__(self, scenario: Any, seed: int = 0):
+        self._promise, self._sensors, self._seed = Promise(scenario), scenario.steps, seed
+        self._plan: np.ndarray | None = None
+
+    def reset(self, belief: PlacementBelief) -> None:
+        """Forget the plan."""
+        self._plan = None
+
+    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
+        """The plan's next commands [e, 3]."""
+        turn = next_sensor(belief)
+        if self._plan is None:
+            tasks = [rows_of(belief.task, slice(i, i + 1)) for i in range(len(turn))]
+            self._plan = np.stack([self.search(task) for task in tasks])
+        return self._plan[np.arange(len(turn)), turn]
+
+    def search(self, task: Task) -> np.ndarray:
+        """Commands [n, 3] of the best layout found for a task (a batch of one)."""
+        size, rng = 3 * self._sensors, np.random.default_rng(self._seed)
+        start: Any = rng.uniform(-1.0, 1.0, (self.PER_NUMBER * size, size))
+        known = [layout_commands(rule, task, self._sensors).ravel() for rule in RULES]
+        start[: len(known)] = known
+
+        def promised(x: np.ndarray) -> np.ndarray:
+            """[c] of numbers [3 n, c]."""
+            return self._promise(task, x.T.reshape(1, -1, self._sensors, 3))[0]
+
+        found = differential_evolution(
+            promised, [(-1.0, 1.0)] * size, maxiter=self.GENERATIONS, init=start, polish=False, vectorized=True,
+            updating="deferred", tol=0.0, rng=rng,
+        )  # fmt: skip
+        steps = self.STEP * np.concatenate([np.zeros((size, 1)), np.eye(size), -np.eye(size)], axis=1)
+
+        def with_slope(x: np.ndarray) -> tuple[float, np.ndarray]:
+            value, *beside = promised(x[:, None] + steps)
+            ahead, behind = np.split(np.array(beside), 2)
+            return value, (ahead - behind) / (2.0 * self.STEP)
+
+        inside = [(-1.0 + self.STEP, 1.0 - self.STEP)] * size
+        polished = minimize(with_slope, np.clip(found.x, *inside[0]), jac=True, method="L-BFGS-B", bounds=inside)
+        best = polished.x if polished.fun < found.fun else found.x
+        return best.reshape(self._sensors, 3)
+
+
+RULES: tuple[Rule, ...] = (spaced(0.0), spaced(20.0), spaced(90.0), even, stacked, stacked_or_even, tripod)
+"""All rules."""
+
+
+def _by(rule: Rule) -> Callable[[Any, int], Policy]:
+    return lambda scenario, seed: ByRule(rule, scenario.steps)
+
+
+PLACEMENT: dict[str, Callable[[Any, int], Policy]] = {
+    "paper": _by(spaced(20.0)),
+    "paper_co_located": _by(spaced(0.0)),
+    "paper_90": _by(spaced(90.0)),
+    "even": _by(even),
+    "rule": _by(stacked_or_even),
+    "tripod": _by(tripod),
+    "rule_best": lambda scenario, seed: BestRule(scenario),
+    "greedy": lambda scenario, seed: Greedy(scenario),
+    "optimizer": lambda scenario, seed: Search(scenario, seed),
+}
+"""Makers (scenario, seed) of what places sensors."""

@@ -1,0 +1,166 @@
+"""Placement of sensors before a target comes: what is known of its course, and where an action puts a sensor.
+
+The site is the origin; x runs from it to the place where the target is expected to enter, at a distance that is known.
+A sensor's azimuth a is counted at that place from the direction to the site, positive to the left of who looks there
+from the entry:
+
+    x = D − d cos a,   y = −d sin a,   z = h
+
+Source: Yang et al. (1998), section 6, whose sensors lie on such a circle of d = D = 200 km.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackers.gaussian import Gaussian
+
+COURSES = ((-math.sqrt(0.6), 5.0 / 18.0), (0.0, 8.0 / 18.0), (math.sqrt(0.6), 5.0 / 18.0))
+"""Entries that stand for all of a sector, as shares of its half width, and their weights (Gauss–Legendre)."""
+
+
+class Task(NamedTuple):
+    """What an operator knows of an episode before it begins; e environments.
+
+    Attributes:
+        entry_distance_m: [e] D, from the site to the expected entry.
+        sector_rad: [e] half width of the sector, seen from the site, in which the target enters at D; uniform.
+        heading_rad: [e] half width of its course off the direction to the site; uniform.
+        altitude_m: [e, 2] lowest and highest; uniform.
+        speed_m_s: [e, 2] slowest and fastest; uniform.
+        std: [e, 3] standard deviations of all sensors' range [m], azimuth and elevation [rad].
+        azimuth_limit_rad: [e] largest |a| of a sensor.
+        distance_m: [e, 2] least and largest d.
+        height_limit_m: [e] largest h; the least is 0, the ground.
+    """
+
+    entry_distance_m: Any
+    sector_rad: Any
+    heading_rad: Any
+    altitude_m: Any
+    speed_m_s: Any
+    std: Any
+    azimuth_limit_rad: Any
+    distance_m: Any
+    height_limit_m: Any
+
+
+class PlacementBelief(NamedTuple):
+    """What an operator knows between placements; e environments, n sensors.
+
+    Attributes:
+        steps_left: [e] sensors left to place.
+        platforms: [e, n, 6] sensors m, m/s; those that are not placed yet stand at the site.
+        mean: [e, 1, 6] state expected at the last scan; once the track has been run, the fused estimate of it.
+        cov: [e, 1, 6, 6] its covariance.
+        last_action: [e, 3] the previous action, 0 at first.
+        task: what is known of courses, accuracies and limits.
+    """
+
+    steps_left: Any
+    platforms: Any
+    mean: Any
+    cov: Any
+    last_action: Any
+    task: Task
+
+
+def site(azimuth, distance, height, entry_distance):
+    """Positions [..., 3] m of sensors at azimuth [rad], horizontal distance and height [m] of the expected entry."""
+    x = entry_distance - distance * np.cos(azimuth)
+    return np.stack(np.broadcast_arrays(x, -distance * np.sin(azimuth), height), axis=-1)
+
+
+def seen_from_entry(position, entry_distance):
+    """Azimuth [rad], horizontal distance and height [m], each [...], of positions [..., 3]; `site` reversed."""
+    x, y, z = (np.asarray(position)[..., i] for i in range(3))
+    along = entry_distance - x
+    return np.arctan2(-y, along), np.hypot(along, y), z
+
+
+def positions(commands, task: Task):
+    """Positions [e, ..., 3] m that commands [e, ..., 3] in [−1, 1] mean: azimuth, distance, height."""
+    c = np.asarray(commands, dtype=float)
+    of_task = lambda part: np.reshape(part, (len(c), *(1,) * (c.ndim - 2)))  # noqa: E731
+    near, far = of_task(task.distance_m[:, 0]), of_task(task.distance_m[:, 1])
+    return site(
+        c[..., 0] * of_task(task.azimuth_limit_rad), near + 0.5 * (c[..., 1] + 1.0) * (far - near),
+        0.5 * (c[..., 2] + 1.0) * of_task(task.height_limit_m), of_task(task.entry_distance_m),
+    )  # fmt: skip
+
+
+def commands(azimuth, distance, height, task: Task):
+    """Commands [e, 3] that put sensors at azimuths [rad], distances and heights [m], each [e] or a number.
+
+    What lies outside the limits goes to the nearest limit.
+    """
+    near, far = task.distance_m[:, 0], task.distance_m[:, 1]
+    along = (
+        _share(azimuth, task.azimuth_limit_rad),
+        _share(distance - 0.5 * (near + far), 0.5 * (far - near)),
+        _share(height - 0.5 * task.height_limit_m, 0.5 * task.height_limit_m),
+    )
+    return np.clip(np.stack(np.broadcast_arrays(*along), axis=-1), -1.0, 1.0)
+
+
+def _share(value, of):
+    """value / of, 0 where there is nothing to choose."""
+    value, of = np.broadcast_arrays(np.asarray(value, dtype=float), of)
+    return np.divide(value, of, out=np.zeros_like(value), where=of > 0.0)
+
+
+def entries(entry_distance, bearing, off_site, altitude, speed):
+    """States [..., 6] of targets that enter at a bearing from the site on a course `off_site` from that to the site.
+
+    Args:
+        entry_distance: m; bearing, off_site: rad, counter-clockwise positive; altitude: m; speed: m/s.
+    """
+    course = bearing + math.pi + off_site
+    return np.stack(
+        np.broadcast_arrays(
+            entry_distance * np.cos(bearing), entry_distance * np.sin(bearing), altitude, speed * np.cos(course),
+            speed * np.sin(course), 0.0,
+        ), axis=-1,
+    )  # fmt: skip
+
+
+def straight(start, scans: int, step_s: float):
+    """Paths [..., k, 6] of constant velocity from starts [..., 6]."""
+    start = np.asarray(start)[..., None, :]
+    time_s = step_s * np.arange(scans)[:, None]
+    velocity = np.broadcast_to(start[..., 3:], (*start.shape[:-2], scans, 3))
+    return np.concatenate([start[..., :3] + time_s * velocity, velocity], axis=-1)
+
+
+def representative_courses(task: Task, scans: int, step_s: float):
+    """Paths [e, 3, k, 6] that stand for all courses of a task; `COURSES` has their weights."""
+    nodes = np.array([node for node, _ in COURSES])
+    start = entries(
+        task.entry_distance_m[:, None], nodes * task.sector_rad[:, None], 0.0, task.altitude_m.mean(-1)[:, None],
+        task.speed_m_s.mean(-1)[:, None],
+    )  # fmt: skip
+    return straight(start, scans, step_s)
+
+
+def course_prior(task: Task, scans: int, step_s: float, acceleration_std: float) -> Gaussian:
+    """Mean [e, 6] and covariance [e, 6, 6] of the state at the last scan, to first order, before any measurement.
+
+    The uniform spreads of bearing, course, speed and altitude, and a white acceleration of `acceleration_std` per axis.
+    """
+    t, steps = step_s * (scans - 1), scans - 1
+    altitude, speed = task.altitude_m.mean(-1), task.speed_m_s.mean(-1)
+    mean = straight(entries(task.entry_distance_m, 0.0, 0.0, altitude, speed), scans, step_s)[:, -1]
+    slope = np.zeros((len(speed), 6, 4))  # of the state by bearing, course, speed, altitude
+    slope[:, 1, 0], slope[:, 1, 1] = task.entry_distance_m - speed * t, -speed * t
+    slope[:, 4, 0] = slope[:, 4, 1] = -speed
+    slope[:, 0, 2], slope[:, 3, 2], slope[:, 2, 3] = -t, -1.0, 1.0
+    spread = (task.sector_rad, task.heading_rad, 0.5 * np.ptp(task.speed_m_s, -1), 0.5 * np.ptp(task.altitude_m, -1))
+    scaled = slope * (np.stack(spread, axis=-1) / math.sqrt(3.0))[:, None, :]
+    q = (acceleration_std * step_s) ** 2 * steps
+    half = 0.5 * step_s * steps
+    noise = np.kron([[step_s**2 * (steps**2 / 3.0 - 1.0 / 12.0), half], [half, 1.0]], np.eye(3))
+    known = np.diag([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # a metre, a decimetre a second: never singular
+    return Gaussian(mean, scaled @ np.swapaxes(scaled, -1, -2) + q * noise + known)
