@@ -95,7 +95,7 @@ class Headings(Continuous):
         ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step * turns, math.radians(HARD_TURN_DEG) * turns)
         aim = course(belief.platforms) + ahead
         off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
-        return np.concatenate([off / math.pi, commands[:, n:]], axis=1).astype(np.float32)
+        return np.concatenate([np.nan_to_num(off) / math.pi, commands[:, n:]], axis=1).astype(np.float32)
 
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
         """Actions [..., a] that do in the mirrored world what these do here: outwards stays outwards."""

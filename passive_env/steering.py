@@ -57,12 +57,14 @@ def _left_to_turn(platforms, mean, off, out):
         across = (x - px) * (platforms[i, 1] - py) - (y - py) * (platforms[i, 0] - px)
         side = 1.0 if across > 0.0 or (across == 0.0 and i > 0) else -1.0
         sight = math.atan2(y - platforms[i, 1], x - platforms[i, 0])
-        out[i] = wrap_scalar(sight + side * off[i] - math.atan2(platforms[i, v + 1], platforms[i, v]))
+        left = wrap_scalar(sight + side * off[i] - math.atan2(platforms[i, v + 1], platforms[i, v]))
+        out[i] = left if math.isfinite(left) else 0.0
 
 
 def left_to_turn(platforms: np.ndarray, mean: np.ndarray, off: np.ndarray) -> np.ndarray:
     """Turns [..., s] rad that bring platforms [..., s, n] to headings `off` [..., s] rad outwards of their sights.
 
-    Sights run to the middle of the tracks [..., m, n]; outwards is as of `outward`.
+    Sights run to the middle of the tracks [..., m, n]; outwards is as of `outward`. Off the sight to a diverged track,
+    where that is not a number, it is straight on.
     """
     return _left_to_turn(platforms, mean, off)

@@ -101,6 +101,19 @@ def test_encoded_commands_are_the_same_commands_again(name):
         actions.encode(commands)
 
 
+@pytest.mark.parametrize("name", ["AngleFusion", "ManeuveringTarget"])
+def test_off_the_sight_to_a_diverged_track_platforms_go_straight_on(name):
+    simulation = Simulation(make_scenario(name, {"actions": "headings"}))
+    belief = simulation.belief(simulation.begin([np.random.default_rng(0)]))
+    lost = belief._replace(mean=np.full_like(belief.mean, np.nan))
+    values = np.full((1, simulation.actions.size), 0.5)
+    assert np.all(simulation.actions.commands(values, belief)[:, :2])
+    with np.errstate(invalid="ignore"):
+        commands = simulation.actions.commands(values, lost)
+    assert np.array_equal(commands, np.where(np.arange(values.shape[1]) < 2, 0.0, values))
+    assert np.isfinite(simulation.actions.encode(commands, lost)).all()
+
+
 def test_a_constant_action_holds_an_angle_off_the_line_of_sight():
     scenario = make_scenario("AngleFusion", {"actions": "headings", "steps": 25})
     env = PassiveVectorEnv(scenario, num_envs=32, autoreset_mode="disabled")
