@@ -35,8 +35,10 @@ class ModelPolicy:
         self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
     def reset(self, belief: Belief) -> None:
-        """Forget the episodes before."""
+        """Forget the episodes before; the first decision shall not wait for a kernel to be loaded."""
         self._memory = None
+        if belief is not None:
+            self._codec.commands(np.zeros((len(belief.steps_left), self._codec.size)), belief)
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Commands [e, a] of observations [e, d].

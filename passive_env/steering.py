@@ -56,8 +56,8 @@ def _left_to_turn(platforms, mean, off, out):
     for i in range(stations):
         across = (x - px) * (platforms[i, 1] - py) - (y - py) * (platforms[i, 0] - px)
         side = 1.0 if across > 0.0 or (across == 0.0 and i > 0) else -1.0
-        sight = math.atan2(y - platforms[i, 1], x - platforms[i, 0])
-        left = wrap_scalar(sight + side * off[i] - math.atan2(platforms[i, v + 1], platforms[i, v]))
+        dx, dy, vx, vy = x - platforms[i, 0], y - platforms[i, 1], platforms[i, v], platforms[i, v + 1]
+        left = wrap_scalar(math.atan2(vx * dy - vy * dx, vx * dx + vy * dy) + side * off[i])
         out[i] = left if math.isfinite(left) else 0.0
 
 

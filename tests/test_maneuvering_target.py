@@ -384,7 +384,7 @@ def test_settings_reach_the_tracker():
     fields = {"initial_velocity_std_m_s": 150.0, "range_floor_m": 4e3, "range_cap_m": 8e4, "mixing": "sens"}
     common = {"initial_velocity_std": 150.0, "floor_m": 4e3, "cap_m": 8e4}
     assert make_scenario(NAME, fields).make_tracker() == ImmMie(mixing="sens", **common)
-    assert make_scenario(NAME, {**fields, "tracker": "imm3"}).make_tracker() == Imm3(**common)
+    assert make_scenario(NAME, {**fields, "tracker": "imm3", "mixing": "literal"}).make_tracker() == Imm3(**common)
 
 
 def test_a_users_tracker_is_taken_as_it_is():
@@ -843,6 +843,7 @@ def test_a_diverged_track_and_a_scan_without_a_fix_still_give_a_picture():
         ({"carrier": "ship"}, "must be one of 'aircraft', 'ground'"),
         ({"course": "paper"}, "must be one of 'random', 'flights', 'paper1', 'paper2'"),
         ({"mixing": "all"}, "must be one of 'literal'"),
+        ({"mixing": "sens", "tracker": "imm3"}, "mixing = 'sens': is not used with tracker='imm3'"),
         ({"min_speed_m_s": 300.0}, "must not exceed max_speed_m_s = 250.0"),
         ({"min_speed_m_s": 30.0, "carrier": "ground"}, "min_speed_m_s = 30.0: must not exceed ground_speed_m_s"),
         ({"min_speed_m_s": 2.0, "carrier": "ground"}, "never measure: must not exceed it"),

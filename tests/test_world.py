@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import gymnasium as gym
@@ -22,6 +23,7 @@ from passive_env.catalogue import make_scenario
 from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
@@ -485,14 +487,23 @@ def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
         "log_range_error", "relative_range_error", "range_error", "final_range_error", "log_range_bound",
         "final_log_range_bound", "information_gain", "maneuver", "standoff", "nogo", "lost_track", "log_position_error",
         "relative_position_error", "position_error", "final_position_error", "log_position_bound",
-        "turn_position_error", "acceleration_error",
+        "turn_position_error", "acceleration_error", "final_log_position_error", "position_gain",
     }  # fmt: skip
-    in_plane, in_space, of_maneuvers = (
+    in_plane, *others = (
         {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
-        for family in (TwoStation, AngleFusion, ManeuveringTarget)
+        for family in (TwoStation, AngleFusion, ManeuveringTarget, RadarPlacement)
     )
-    assert in_plane | in_space | of_maneuvers == set(TERMS)
+    assert in_plane.union(*others) == set(TERMS)
     assert in_plane == set(IN_PLANE)
+
+
+def test_reward_terms_of_placements_by_hand():
+    final = np.array([True])
+    assert TERMS["final_log_position_error"](moment()) == pytest.approx(-(math.log(2.5) + math.log(0.9)) / 2.0)
+    assert TERMS["final_log_position_error"](moment(final=~final)) == pytest.approx(0.0)
+    now, before = (SimpleNamespace(position_crlb_m=np.array([bounds])) for bounds in ([500.0, 30.0], [1000.0, 90.0]))
+    gain = TERMS["position_gain"](moment(metrics=now, previous=before))
+    assert gain == pytest.approx(np.array([(math.log(2.0) + math.log(3.0)) / 2.0]))
 
 
 def test_rewards_are_floored_where_luck_begins_and_cut_where_a_track_is_far_off():

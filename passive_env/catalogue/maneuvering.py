@@ -150,6 +150,8 @@ class ManeuveringTarget(TrackingScenario):
             raise self._error("flight_turn_s", f"is not used with course={self.course!r}; add course='flights'")
         if self.flight_turn_s > self.steps * self.step_s:
             raise self._error("flight_turn_s", f"an episode lasts {self.steps * self.step_s:g} s: must not exceed this")
+        if self.mixing != "literal" and self.tracker != "imm_mie":
+            raise self._error("mixing", f"is not used with tracker={self.tracker!r}; add tracker='imm_mie'")
         gap = self._nearest_m
         if self.standoff_m > gap:
             raise self._error("standoff_m", f"stations may start {gap:.0f} m from the target: must not exceed this")
