@@ -9,9 +9,38 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from agents.files import save_figure, write_json, write_text
+from agents.files import make_folder, save_figure, write_json, write_text
 
 REPRODUCED, NOT_REPRODUCED, NOT_TESTABLE = VERDICTS = ("reproduced", "not reproduced", "not testable")
+
+
+def prepare(runs: int, seeds: Sequence[int], out: Path | None) -> None:
+    """Refuse what leaves nothing to compute, and make the folder, before anything is computed.
+
+    Raises:
+        ValueError: no run, no seed, or a negative one.
+    """
+    if runs < 1 or not seeds:
+        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
+    if min(seeds) < 0:
+        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
+    if out is not None:
+        make_folder(out)
+
+
+def document(result: Mapping[str, Any], sections: Mapping[str, str], note: str = "") -> str:
+    """A reproduction as text (Markdown): the paper, what was run, a section per head, and the claims.
+
+    Args:
+        result: with paper, settings (runs, seeds) and claims.
+        sections: text per head.
+        note: said beside what was run, such as units.
+    """
+    settings, claims = result["settings"], result["claims"]
+    title = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
+    judged = {"Claims": verdict_line(claims) + "\n\n" + claims_table(claims)}
+    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in {**sections, **judged}.items())
+    return f"# {result['paper']}\n\n{' '.join(filter(None, (title, note)))}\n\n{body}"
 
 
 def claim(source: str, text: str, paper: Any, ours: Any, verdict: str | bool, interval: Any = None) -> dict[str, Any]:

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import make_folder
 from agents.reproduction.angle_fusion.claims import ROWS, SCANS, all_claims, lost_share
 from agents.reproduction.angle_fusion.monte_carlo import Record, Trial, draw_seeds, follow, range_bound
 from agents.reproduction.angle_fusion.pictures import all_pictures
-from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
+from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
 
 __all__ = ["TRIALS", "print_angle_fusion", "reproduce_angle_fusion"]
 
@@ -49,12 +48,7 @@ def reproduce_angle_fusion(
     Raises:
         ValueError: runs or seeds that leave nothing to compute.
     """
-    if runs < 1 or not seeds:
-        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
-    if min(seeds) < 0:
-        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
-    if out is not None:
-        make_folder(out)
+    prepare(runs, seeds, out)
     records = run_trials(runs, seeds)
     result = {
         "paper": "Wang, Wang and Yang (2004), J. Electronics & Information Technology 26(8), 1196–1202, section 5",
@@ -94,14 +88,10 @@ def _summary(record: Record) -> dict[str, Any]:
 
 def print_angle_fusion(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_angle_fusion` as text (Markdown)."""
-    settings = result["settings"]
-    title = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
     sections = {
         "Range error and lost tracks": _trials_words(result),
-        "Claims": verdict_line(result["claims"]) + "\n\n" + claims_table(result["claims"]),
     }
-    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in sections.items())
-    return f"# {result['paper']}\n\n{title}\n\n{body}"
+    return document(result, sections)
 
 
 def _trials_words(result: Mapping[str, Any]) -> str:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import make_folder
 from agents.reproduction.imm_mie.claims import (
     BIAS_M_S2,
     FUSED,
@@ -40,7 +39,7 @@ from agents.reproduction.imm_mie.monte_carlo import (
     quiet_alarms,
 )
 from agents.reproduction.imm_mie.pictures import all_pictures
-from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
+from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
 from trackers import FixTracker, Imm3, ImmMie, InputEstimation, Mie
 
 __all__ = ["TRACKED", "print_imm_mie", "reproduce_imm_mie", "run_trials"]
@@ -71,12 +70,7 @@ def reproduce_imm_mie(runs: int = 50, seeds: Sequence[int] = (0, 1, 2, 3), out: 
     Raises:
         ValueError: runs or seeds that leave nothing to compute.
     """
-    if runs < 1 or not seeds:
-        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
-    if min(seeds) < 0:
-        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
-    if out is not None:
-        make_folder(out)
+    prepare(runs, seeds, out)
     trials = run_trials(runs, seeds)
     result = {
         "paper": "Sheng et al. (2009), IMM tracking with modified input estimation, section 5",
@@ -125,15 +119,11 @@ def _summary(record: Record, scenario: int) -> dict[str, Any]:
 
 def print_imm_mie(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_imm_mie` as text (Markdown)."""
-    settings = result["settings"]
-    title = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
     sections = {
         **{f"Scenario {k}": _scenario_words(result, k) for k in PHASES},
         "Passive stations": _geometry_words(result),
-        "Claims": verdict_line(result["claims"]) + "\n\n" + claims_table(result["claims"]),
     }
-    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in sections.items())
-    return f"# {result['paper']}\n\n{title}\n\n{body}"
+    return document(result, sections)
 
 
 def _scenario_words(result: Mapping[str, Any], scenario: int) -> str:

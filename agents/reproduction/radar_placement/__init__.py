@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import make_folder
 from agents.reproduction.radar_placement.claims import PAIRS, SINGLE, STUDIED, THEORY_M, Trials, all_claims
 from agents.reproduction.radar_placement.pictures import all_pictures
 from agents.reproduction.radar_placement.scenario import (
@@ -25,7 +24,7 @@ from agents.reproduction.radar_placement.scenario import (
     pair,
     ring,
 )
-from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
+from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
 from trackers.converted_episode import LINEARISATIONS
 
 __all__ = ["print_radar_placement", "reproduce_radar_placement", "run_trials"]
@@ -45,12 +44,7 @@ def reproduce_radar_placement(
     Raises:
         ValueError: runs or seeds that leave nothing to compute.
     """
-    if runs < 1 or not seeds:
-        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
-    if min(seeds) < 0:
-        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
-    if out is not None:
-        make_folder(out)
+    prepare(runs, seeds, out)
     trials = run_trials(runs, seeds)
     single = trials.pairs[SINGLE].rmse()
     result = {
@@ -92,16 +86,12 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
 
 def print_radar_placement(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_radar_placement` as text (Markdown)."""
-    settings = result["settings"]
-    title = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
     layouts = [(name, found["theory"], found["monte_carlo"]) for name, found in result["layouts"].items()]
     sections = {
         "Two radars": markdown_table(("layout", "theory", "Monte Carlo"), layouts),
         "Where bias and R are evaluated": _linearisation_words(result),
-        "Claims": verdict_line(result["claims"]) + "\n\n" + claims_table(result["claims"]),
     }
-    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in sections.items())
-    return f"# {result['paper']}\n\n{title}\n\n{body}"
+    return document(result, sections)
 
 
 def _linearisation_words(result: Mapping[str, Any]) -> str:

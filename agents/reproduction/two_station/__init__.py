@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.files import make_folder
-from agents.reproduction.report import claims_table, markdown_table, verdict_line, write_reproduction
+from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
 from agents.reproduction.resampling import bootstrap_means, mean_interval
 from agents.reproduction.two_station.claims import BOUNDS_PAPER_KM, SCORE_LIMITS, all_claims
 from agents.reproduction.two_station.monte_carlo import (
@@ -88,12 +87,7 @@ def reproduce_two_station(
     Raises:
         ValueError: runs or seeds that leave nothing to compute.
     """
-    if runs < 1 or not seeds:
-        raise ValueError(f"--runs {runs} --seeds {' '.join(map(str, seeds))}: need at least one of each")
-    if min(seeds) < 0:
-        raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
-    if out is not None:
-        make_folder(out)
+    prepare(runs, seeds, out)
     noise, rng = draw_seeds(seeds, runs), np.random.default_rng([*seeds, runs])
     studies = {name: study(reading, noise) for name, reading in READINGS.items()}
     result = {
@@ -159,17 +153,13 @@ def _bounds(one: Study) -> dict[str, Any]:
 
 def print_report(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_two_station` as text: Table 1 beside ours, scores, finals, bounds, claims (Markdown)."""
-    settings = result["settings"]
-    title = f"{settings['runs']} runs, seeds {', '.join(map(str, settings['seeds']))}; errors in km, T1 / T2 / T3."
     sections = {
         "Table 1: mean |range error|": _table_1_words(result["table_1"]),
         "Score: mean |ln(ours / paper)| over 51 entries": _scores_words(result["scores"]),
         "Range error at update 45": _final_words(result["final"]),
         "Posterior Cramér–Rao bound on range, update 45": _bounds_words(result["bounds"]),
-        "Claims": verdict_line(result["claims"]) + "\n\n" + claims_table(result["claims"]),
     }
-    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in sections.items())
-    return f"# {result['paper']}\n\n{title}\n\n{body}"
+    return document(result, sections, "Errors in km, T1 / T2 / T3.")
 
 
 def _table_1_words(rows: Sequence[Mapping[str, Any]]) -> str:
