@@ -21,6 +21,7 @@ from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.angle_fusion import AngleFusion
+from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.placement import RadarPlacement
@@ -1117,3 +1118,11 @@ def test_twin_flights_repeat_themselves():
         assert np.array_equal(observation, flown.observations[k])
         observation, reward, *_ = env.step(flown.commands[k])
         assert np.array_equal(reward, flown.rewards[k])
+
+
+def test_a_family_that_leaves_out_a_part_cannot_be_made():
+    class Unfinished(BearingScenario):
+        pass
+
+    with pytest.raises(TypeError, match=r"abstract.*bound_range_std_m.*course_uniforms.*draw_courses"):
+        Unfinished()  # type: ignore

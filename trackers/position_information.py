@@ -88,11 +88,8 @@ def move(p, total, g, cov):
 
 
 @helper
-def absorb_information(x, P, total, g, x_out, P_out, L, A, M, B, E):
-    """Posterior of x [6], P [6, 6] given information `total` [3, 3] and g [3]; returns gᵀ P⁺ g and log √det(I + PΛ).
-
-    With P_pp = LLᵀ and I + LᵀΛL = CCᵀ the position's posterior is BᵀB, B = C⁻¹Lᵀ: positive whatever Λ is, even 0.
-    """
+def _factor(P, total, L, A, M, B, E):
+    """L, A = P_vp L⁻ᵀ, M = C, B = C⁻¹Lᵀ and E = A C⁻ᵀ, each [3, 3], of `absorb_information`."""
     for i in range(3):
         for j in range(i + 1):
             L[i, j] = P[i, j]
@@ -125,6 +122,16 @@ def absorb_information(x, P, total, g, x_out, P_out, L, A, M, B, E):
             for k in range(j):
                 s -= E[i, k] * M[j, k]
             E[i, j] = s / M[j, j]
+
+
+@helper
+def absorb_information(x, P, total, g, x_out, P_out, L, A, M, B, E):
+    """Posterior of x [6], P [6, 6] given information `total` [3, 3] and g [3]; returns gᵀ P⁺ g and log √det(I + PΛ).
+
+    With P_pp = LLᵀ and I + LᵀΛL = CCᵀ the position's posterior is BᵀB, B = C⁻¹Lᵀ: positive whatever Λ is, even 0.
+    L, A, M, B and E [3, 3] are scratch.
+    """
+    _factor(P, total, L, A, M, B, E)
     gain = 0.0
     for i in range(6):
         x_out[i] = x[i]

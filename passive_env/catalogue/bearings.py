@@ -7,6 +7,7 @@ and how the targets move (`BearingScenario.draw_courses`); the rest is here.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -81,18 +82,18 @@ class BearingScenario(TrackingScenario):
     # -- what each scenario draws ------------------------------------------------------------------------------------
 
     @property
+    @abstractmethod
     def course_uniforms(self) -> int:
         """Uniform numbers per episode that `draw_courses` needs."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw_courses(self, u: np.ndarray) -> Courses:
         """Courses of episodes from uniforms [e, course_uniforms], row by row."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def bound_range_std_m(self) -> float:
         """Radial standard deviation of the Cramér–Rao bound's prior at the first scan."""
-        raise NotImplementedError
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +15,7 @@ from passive_env.scenario import free, number
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingScenario(CourseScenario):
+class TrackingScenario(CourseScenario, ABC):
     """Base of scenarios that are tracked; a family adds its own fields and the parts that `passive_env.core` names."""
 
     discs: ClassVar[int] = 0
@@ -64,9 +65,9 @@ class TrackingScenario(CourseScenario):
         return self.trackers[self.tracker](**self.tracker_settings)
 
     @property
+    @abstractmethod
     def tracker_settings(self) -> dict[str, Any]:
         """Keywords of the named tracker."""
-        raise NotImplementedError
 
     @cached_property
     def reward_weights(self) -> dict[str, float]:
