@@ -142,14 +142,11 @@ class Formation:
     Args:
         scenario: what to act in.
         install_s, lead_s: how far ahead of the target the point lies at first, and later.
-        radius_m: of the formation.
-        turn: of the formation, in turns: 0 has the first sensor ahead.
+        radius_m: of the formation, whose first sensor is behind that point.
     """
 
-    def __init__(
-        self, scenario: Any, install_s: float = 200.0, lead_s: float = 60.0, radius_m: float = 20e3, turn: float = 0.0
-    ):
-        self._sensors, self._times, self._radius, self._turn = scenario.sensors, (install_s, lead_s), radius_m, turn
+    def __init__(self, scenario: Any, install_s: float = 250.0, lead_s: float = 120.0, radius_m: float = 15e3):
+        self._sensors, self._times, self._radius = scenario.sensors, (install_s, lead_s), radius_m
 
     def reset(self, belief: MobileBelief) -> None:
         """Nothing to remember."""
@@ -159,13 +156,11 @@ class Formation:
         x = tracked(belief)
         lead = np.where(belief.installed, self._times[1], self._times[0])[:, None]
         centre = x[:, :2] + lead * x[:, 3:5]
-        course = np.arctan2(x[:, 4], x[:, 3])[:, None]
-        angle = course + 2.0 * math.pi * (np.arange(self._sensors) / self._sensors + self._turn)
+        backwards = np.arctan2(-x[:, 4], -x[:, 3])[:, None]
+        angle = backwards + 2.0 * math.pi * np.arange(self._sensors) / self._sensors
         height = belief.task.height_limit_m[:, None] * (np.arange(self._sensors) % 2)
-        place = np.stack(
-            [centre[:, :1] + self._radius * np.cos(angle), centre[:, 1:] + self._radius * np.sin(angle), height],
-            axis=-1,
-        )
+        x_y = (centre[:, [0]] + self._radius * np.cos(angle), centre[:, [1]] + self._radius * np.sin(angle))
+        place = np.stack([*x_y, height], axis=-1)
         return commands_of(place, belief.task).reshape(len(x), -1)
 
 
@@ -197,12 +192,21 @@ class Greedy:
         scans: looked at, spread evenly over the time.
         ahead_s: time looked ahead.
         install_s: the same when sensors are installed.
+        installer: who installs them instead, if any.
     """
 
     BEARINGS, RADII_M = 8, (10e3, 30e3)
     """Ways to go: so many directions from the carrier, and as many from where the target will be, so far from it."""
 
-    def __init__(self, scenario: Any, scans: int = 8, ahead_s: float = 240.0, install_s: float = 320.0):
+    def __init__(
+        self,
+        scenario: Any,
+        scans: int = 8,
+        ahead_s: float = 240.0,
+        install_s: float = 320.0,
+        installer: Policy | None = None,
+    ):
+        self._installer = installer
         self._scenario, self._tracker = scenario, scenario.make_tracker()
         self._scans, self._ahead_s, self._install_s = scans, ahead_s, install_s
 
@@ -214,7 +218,9 @@ class Greedy:
         best = np.empty((len(belief.installed), self._scenario.sensors, 3))
         for installed in (False, True):
             rows = np.flatnonzero(belief.installed == installed)
-            if len(rows):
+            if len(rows) and not installed and self._installer is not None:
+                best[rows] = self._installer.act(belief, observation).reshape(best.shape)[rows]
+            elif len(rows):
                 best[rows] = self._choose_rows(belief, rows, not installed)
         return best.reshape(len(best), -1)
 
@@ -316,6 +322,7 @@ MOBILE: dict[str, Callable[[Any, int], Policy]] = {
     "optimizer": lambda scenario, seed: BestStatic(scenario, seed),
     "rule": lambda scenario, seed: Formation(scenario),
     "greedy": lambda scenario, seed: Greedy(scenario),
+    "greedy_after_rule": lambda scenario, seed: Greedy(scenario, installer=Formation(scenario)),
     "oracle": lambda scenario, seed: Oracle(scenario),
 }
 """Makers (scenario, seed) of what installs sensors and moves them."""
