@@ -1,5 +1,6 @@
 """Actions that name headings off the line of sight: what they mean, and models that were trained on them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ from agents.learned import LearnedPolicy, observation_digest, read_config
 from agents.presets import load_preset
 from agents.rules import HoldOffSight
 from agents.sb3 import Sb3VecEnv
-from agents.training import Run, begin_with, new_model, train
+from agents.training import Run, begin_with, new_model, plan, train
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
@@ -153,7 +154,6 @@ def trained(tmp_path_factory):
     """A run of one short rollout that chooses headings, on a scenario that is evaluated by rates."""
     preset = load_preset("AngleFusion", "ppo")
     preset |= {"net_arch": [8], "first_action": [0.5, 0.25, 0.0, 0.0]}
-    preset.pop("imitation", None)
     preset["scenario"] = {"actions": "headings"}
     preset["arguments"] = {**preset["arguments"], "batch_size": 30, "n_epochs": 1}
     run = Run(
@@ -196,11 +196,47 @@ def test_the_fingerprint_tells_headings_from_rates():
     assert len(set(digests.values())) == 3
 
 
+def untrained(run):
+    """A run's model before training, and its mean actions in six episodes' first belief."""
+    env = Sb3VecEnv(
+        PassiveVectorEnv(run.training_scenario, num_envs=6, autoreset_mode="same_step"), truth=run.asymmetric
+    )
+    model = new_model(run, env)
+    return model, model.predict(env.reset(), deterministic=True)[0]
+
+
 def test_an_actor_begins_with_the_first_action(trained):
-    env = PassiveVectorEnv(trained.training_scenario, num_envs=6, autoreset_mode="same_step")
-    model = new_model(trained, Sb3VecEnv(env, truth=trained.asymmetric))
-    seen = Sb3VecEnv(env, truth=trained.asymmetric).reset()
-    actions, _ = model.predict(seen, deterministic=True)
+    model, actions = untrained(trained)
     np.testing.assert_allclose(actions, np.tile([0.5, 0.25, 0.0, 0.0], (6, 1)), atol=0.1)
-    with pytest.raises(ValueError, match="first_action has 3 values, must have 4"):
-        begin_with(model, [0.5, 0.25, 0.0])
+    for values, expected in (([0.5, 0.25], [0.5, 0.5, 0.25, 0.25]), ([-0.5], [-0.5] * 4), ([0, 1, 2, 3], [0, 1, 2, 3])):
+        begin_with(model, values)
+        np.testing.assert_allclose(model.policy.action_net.bias.detach().numpy(), expected)
+    for values in ([], [0.5, 0.25, 0.0], [0.5] * 8):
+        with pytest.raises(ValueError, match=rf"first_action has {len(values)} values, must have .*divisor of 4"):
+            begin_with(model, values)
+
+
+HEADINGS_PRESETS = {"AngleFusion": (0.36, 0.0), "ManeuveringTarget": (0.42, 1.0)}
+"""Scenarios whose preset names headings: the heading and the other number that every platform begins with."""
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [(name, {}) for name in HEADINGS_PRESETS] + [("ManeuveringTarget", {"stations": n}) for n in (3, 4)],
+)
+def test_the_presets_rule_is_begun_with_whatever_the_number_of_stations(name, fields, tmp_path):
+    run = plan(name, tmp_path, envs=6, fields=fields)
+    _, actions = untrained(run)
+    stations = run.training_scenario.stations
+    np.testing.assert_allclose(actions, np.tile(np.repeat(HEADINGS_PRESETS[name], stations), (6, 1)), atol=0.1)
+
+
+@pytest.mark.parametrize("name", HEADINGS_PRESETS)
+@pytest.mark.parametrize("actions", ["continuous", "discrete"])
+def test_other_actions_than_the_presets_begin_with_no_rule(name, actions, tmp_path):
+    """Headings read as turn rates, or as scores of choices, would be some other rule."""
+    run = plan(name, tmp_path, envs=6, fields={"actions": actions})
+    model, chosen = untrained(run)
+    assert not model.policy.action_net.bias.detach().numpy().any()
+    commands = run.training_scenario.make_actions().decode(chosen, 6)
+    assert np.abs(commands).max() < 0.1 if actions == "continuous" else set(np.unique(commands)) <= {-1.0, 0.0, 1.0}
