@@ -240,3 +240,9 @@ def test_other_actions_than_the_presets_begin_with_no_rule(name, actions, tmp_pa
     assert not model.policy.action_net.bias.detach().numpy().any()
     commands = run.training_scenario.make_actions().decode(chosen, 6)
     assert np.abs(commands).max() < 0.1 if actions == "continuous" else set(np.unique(commands)) <= {-1.0, 0.0, 1.0}
+
+
+def test_algorithms_without_a_mean_action_refuse_a_first_one(trained):
+    preset = load_preset("AngleFusion", "sac") | {"first_action": [0.36, 0.0]}
+    with pytest.raises(ValueError, match=r"--algo sac has no mean action .* must not say 'first_action'"):
+        replace(trained, algo="sac", preset=preset)
