@@ -90,9 +90,21 @@ def test_stations_far_off_their_heading_turn_at_their_lowest_speed():
     )
 
 
+def test_stations_that_a_step_turns_to_their_heading_do_not_slow_down():
+    """The same sights; a step turns by 100°, enough for 91° but not for 105°."""
+    actions = HeadingsAndSpeeds(4, 2, np.radians(100.0), [True, True, False, False])
+    belief = belief_of([(0.0, -10_000.0), (0.0, 10_000.0)], [-45.0 + 91.0, 45.0 - 105.0], target=(10_000.0, 0.0))
+    np.testing.assert_allclose(
+        actions.commands(np.array([[0.5, 0.5, 0.75, 0.75]]), belief), [[-0.91, 1.0, 0.75, -1.0]], atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("name", ["AngleFusion", "ManeuveringTarget"])
-def test_encoded_commands_are_the_same_commands_again(name):
-    env = PassiveVectorEnv(name, num_envs=64, actions="headings")
+@pytest.mark.parametrize(
+    "fields", [{}, {"step_s": 5.0, "max_turn_rate_deg_s": 20.0}], ids=["few degrees a step", "100 degrees a step"]
+)
+def test_encoded_commands_are_the_same_commands_again(name, fields):
+    env = PassiveVectorEnv(name, num_envs=64, actions="headings", **fields)
     env.reset(seed=1)
     belief, actions = env.belief(), env.simulation.actions
     commands = np.clip(np.random.default_rng(2).uniform(-1.5, 1.5, (64, 4)), -1.0, 1.0)
