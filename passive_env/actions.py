@@ -60,9 +60,10 @@ class Continuous:
 class Headings(Continuous):
     """A Box in [−1, 1] of headings to turn to, as shares of 180° off a platform's own line of sight, then any climbs.
 
-    Positive is outwards: the platform that is left of the others, looking along the mean line of sight, turns to the
-    left of its own. Platforms turn as fast as they can until they fly on the heading. What is constant here opens the
-    baseline and keeps it open; exploring about it moves platforms where shares of turn rates would average out.
+    Positive is outwards (`passive_env.steering.outward`): the left half of the platforms, looking along the mean line
+    of sight, turns to the left of their own. Platforms turn as fast as they can until they fly on the heading. What is
+    constant here opens the baseline and keeps it open; exploring about it moves platforms where shares of turn rates
+    would average out.
 
     Args:
         size, odd: as of `Continuous`; the first `platforms` numbers are headings.

@@ -41,12 +41,42 @@ def test_outward_is_left_for_the_left_platform():
     assert np.array_equal(outward(behind.platforms, behind.mean), [[1.0, -1.0]])
 
 
+def sides_by_rank(places, courses, target):
+    """Sides [s] of one episode: its platforms sorted from left to right, the middle of an odd number by its course."""
+    sight = target - places.mean(axis=0)
+    from_left = np.argsort(places @ [sight[1], -sight[0]])
+    sides, half = np.zeros(len(places)), len(places) // 2
+    sides[from_left[:half]], sides[from_left[len(places) - half :]] = 1.0, -1.0
+    to_target = np.arctan2(*(target - places).T[::-1])
+    return np.where(sides == 0.0, np.where(wrap(courses - to_target) >= 0.0, 1.0, -1.0), sides)
+
+
+@pytest.mark.parametrize("stations", [2, 3, 4, 5])
+def test_the_left_half_goes_left_the_right_half_right_and_a_middle_one_where_it_heads(stations):
+    rng = np.random.default_rng(stations)
+    platforms = np.concatenate(
+        [rng.normal(0.0, 1e4, (200, stations, 2)), rng.normal(0.0, 200.0, (200, stations, 2))], 2
+    )
+    mean = rng.normal(0.0, 3e4, (200, 3, 4))
+    sides = outward(platforms, mean)
+    for i in range(200):
+        expected = sides_by_rank(platforms[i, :, :2], course(platforms)[i], mean[i, :, :2].mean(axis=0))
+        assert np.array_equal(sides[i], expected)
+
+
+def test_a_middle_station_keeps_its_side_whichever_side_of_the_midpoint_it_is_on():
+    for course_deg, side in ((20.0, 1.0), (-20.0, -1.0)):
+        for north in (-50.0, 50.0):
+            belief = belief_of([(0.0, -3000.0), (0.0, north), (0.0, 3000.0)], [0.0, course_deg, 0.0])
+            assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, side, 1.0]])
+
+
 def test_what_is_left_to_turn_is_the_same_compiled_and_written_out():
-    for name in ("AngleFusion", "ManeuveringTarget"):
-        env = PassiveVectorEnv(name, num_envs=64)
+    for name, fields in (("AngleFusion", {}), ("ManeuveringTarget", {}), ("ManeuveringTarget", {"stations": 3})):
+        env = PassiveVectorEnv(name, num_envs=64, **fields)
         env.reset(seed=0)
         belief = env.belief()
-        off = np.random.default_rng(0).uniform(-np.pi, np.pi, (64, 2))
+        off = np.random.default_rng(0).uniform(-np.pi, np.pi, belief.platforms.shape[:2])
         aim = line_of_sight(belief.platforms, belief.mean) + outward(belief.platforms, belief.mean) * off
         expected = wrap(aim - course(belief.platforms))
         np.testing.assert_allclose(left_to_turn(belief.platforms, belief.mean, off), expected, atol=1e-9)
