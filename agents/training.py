@@ -85,6 +85,11 @@ class Run:
         return make_scenario(self.scenario_name, {**self.preset.get("scenario", {}), **self.fields})
 
     @property
+    def preset_actions(self) -> str:
+        """The kind of actions that the preset is written for; the user's fields may ask for another."""
+        return make_scenario(self.scenario_name, self.preset.get("scenario", {})).actions
+
+    @property
     def asymmetric(self) -> bool:
         """Whether the critic sees the truth (`agents.asymmetric`)."""
         return self.preset.get("asymmetric", False)
@@ -278,7 +283,7 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
     quicken(model.policy)
-    if "first_action" in preset:
+    if "first_action" in preset and run.training_scenario.actions == run.preset_actions:
         begin_with(model, preset["first_action"])
     if "imitation" in preset:
         imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
@@ -288,15 +293,24 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 def begin_with(model: BaseAlgorithm, action: Sequence[float]) -> None:
     """Let an untrained actor's mean action be this one, whatever it sees: a rule to start from.
 
+    Args:
+        model: of an on-policy algorithm that draws actions from a Box.
+        action: values in the order of the action; each stands for as many of its numbers as there are more of these
+            than of values. Two are one per kind where every platform has two kinds of numbers, whatever the number of
+            platforms; as many as an action has numbers are the action itself.
     Raises:
-        ValueError: a number of values that the action space does not have.
+        ValueError: no values, or not a whole number of an action's numbers for each.
     """
     policy: Any = model.policy
     bias = policy.action_net.bias
-    if tuple(bias.shape) != (len(action),):
-        raise ValueError(f"first_action has {len(action)} values, must have {len(bias)}, one per number of an action")
+    each, over = divmod(len(bias), len(action)) if len(action) else (0, 0)
+    if each == 0 or over:
+        raise ValueError(
+            f"first_action has {len(action)} values, must have one per kind of number or {len(bias)}, one per number "
+            f"of an action: a divisor of {len(bias)}"
+        )
     with torch.no_grad():
-        bias.copy_(torch.as_tensor(action))
+        bias.copy_(torch.as_tensor(np.repeat(action, each)))
 
 
 class LinearDecay:
