@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,15 +61,23 @@ class RangeSumEkf:
         self._require(0.0 <= self.false_alarm < 1.0, "false_alarm", "at least 0 and below 1")
         self._require(1.0 <= self.inflation < np.inf, "inflation", "finite and at least 1")
         self._require(-np.inf < self.floor_m < np.inf, "floor_m", "finite")
-        thresholds = np.full(MOST_SUMS + 1, np.inf)
-        if self.false_alarm > 0.0:
-            thresholds[1:] = chi2.isf(self.false_alarm, np.arange(1, MOST_SUMS + 1))
-        object.__setattr__(self, "_noise", w)
-        object.__setattr__(self, "_thresholds", thresholds)
 
     def _require(self, met: bool, name: str, words: str) -> None:
         if not met:
             raise ValueError(f"{type(self).__name__}.{name} = {getattr(self, name)!r}: must be {words}")
+
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """w [3] (m/s²)²."""
+        return np.array(self.process_noise, dtype=float)
+
+    @cached_property
+    def thresholds(self) -> np.ndarray:
+        """J at which the maneuver test fires, by the number of sums used."""
+        found = np.full(MOST_SUMS + 1, np.inf)
+        if self.false_alarm > 0.0:
+            found[1:] = chi2.isf(self.false_alarm, np.arange(1, MOST_SUMS + 1))
+        return found
 
     def initiate(self, scans: RangeSumScan, guess: Gaussian, times_s: Any) -> RangeSumTrack:
         """Maximum a posteriori state at the last of the scans (`trackers.range_sum_start`).
@@ -80,21 +89,28 @@ class RangeSumEkf:
         Raises:
             ValueError: shapes that do not belong together, entries that are not finite, times out of order.
         """
-        start = start_range_sums(scans, guess, times_s, self._noise, self.floor_m)  # type: ignore[attr-defined]
+        start = start_range_sums(scans, guess, times_s, self.noise, self.floor_m)
         return RangeSumTrack(start.mean, start.cov, 0.0)
 
     def predict(self, state: RangeSumTrack, step_s: float) -> RangeSumTrack:
         """Propagate all tracks by one step."""
-        mean, cov = _predict(state.mean, state.cov, step_s, self._noise)  # type: ignore[attr-defined]
+        mean, cov = _predict(state.mean, state.cov, step_s, self.noise)
         return RangeSumTrack(mean, cov, step_s)
 
     def update(self, state: RangeSumTrack, scan: RangeSumScan) -> RangeSumUpdate:
         """Condition all tracks on one scan; without an echo they coast.
 
         A sum so short that no target can have caused it (`trackers.range_sum.short_of_baseline`) is not used.
+
+        Raises:
+            ValueError: shapes that do not belong together, entries that are not finite.
         """
         scan.check()
-        mean, cov, *rest = _update(*state, *scan, self._noise, self._thresholds, self.inflation, self.floor_m)  # type: ignore[attr-defined]
+        states, sums = 2 * np.shape(scan.receiver)[-1], np.shape(scan.range_sums)[-1]
+        if np.shape(state.mean)[-1:] != (states,) or sums > MOST_SUMS:
+            shapes = f"mean {np.shape(state.mean)}, receiver {np.shape(scan.receiver)}, {sums} range sums"
+            raise ValueError(f"update: {shapes}: must be [..., 2d], [..., d] and at most {MOST_SUMS}")
+        mean, cov, *rest = _update(*state, *scan, self.noise, self.thresholds, self.inflation, self.floor_m)
         return RangeSumUpdate(RangeSumTrack(mean, cov, state.step_s), *rest)
 
     def estimate(self, state: RangeSumTrack) -> Gaussian:
@@ -111,14 +127,10 @@ class RangeSumEkfLiteral(RangeSumEkf):
 
 @kernel("(a),(a,a),(),(w)->(a),(a,a)", "FFfFFF")
 def _predict(x, P, T, w, x_out, P_out):
-    n = x.shape[0]
-    copy_gaussian(x, P, n, x_out, P_out)
-    if n == 4:
-        move_axes(x_out, P_out, T, 2)
-        add_axis_noise(P_out, T, w, 1.0, 2)
-    else:
-        move_axes(x_out, P_out, T, 3)
-        add_axis_noise(P_out, T, w, 1.0, 3)
+    d = x.shape[0] // 2
+    copy_gaussian(x, P, 2 * d, x_out, P_out)
+    move_axes(x_out, P_out, T, d)
+    add_axis_noise(P_out, T, w, 1.0, d)
 
 
 @helper
@@ -154,19 +166,6 @@ def _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, n
     return count
 
 
-@helper
-def _condition(x, P, T, sums, used, transmitters, receiver, std, w, threshold, inflation, row, column, x_out, P_out, d):
-    """Posterior of the used sums into x_out, P_out; returns J, the log-likelihood's log √det S and exponent."""
-    copy_gaussian(x, P, 2 * d, x_out, P_out)
-    statistic, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
-    squared = statistic
-    if statistic >= threshold:
-        copy_gaussian(x, P, 2 * d, x_out, P_out)
-        add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
-        squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
-    return statistic, squared, log_det
-
-
 @kernel(
     "(a),(a,a),(),(n),(n),(n,d),(d),(n),(w),(c),(),()->(a),(a,a),(n),(n),(),(),(),(n)",
     "FFfFBFFFFFffFFFFffbB",
@@ -175,48 +174,16 @@ def _update(
     x, P, T, sums, valid, transmitters, receiver, std, w, thresholds, inflation, floor,
     x_out, P_out, nu, S, log_likelihood, statistic, fired, used,
 ):  # fmt: skip
-    row, column = np.empty(3), np.empty(6)
-    if x.shape[0] == 4:
-        count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, 2)
-        found = _condition(
-            x,
-            P,
-            T,
-            sums,
-            used,
-            transmitters,
-            receiver,
-            std,
-            w,
-            thresholds[count],
-            inflation,
-            row,
-            column,
-            x_out,
-            P_out,
-            2,
-        )
-    else:
-        count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, 3)
-        found = _condition(
-            x,
-            P,
-            T,
-            sums,
-            used,
-            transmitters,
-            receiver,
-            std,
-            w,
-            thresholds[count],
-            inflation,
-            row,
-            column,
-            x_out,
-            P_out,
-            3,
-        )
+    row, column, d = np.empty(3), np.empty(6), x.shape[0] // 2
+    count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, d)
+    threshold = thresholds[count]
+    copy_gaussian(x, P, 2 * d, x_out, P_out)
+    squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+    statistic[0], fired[0] = squared, squared >= threshold
+    if fired[0]:
+        copy_gaussian(x, P, 2 * d, x_out, P_out)
+        add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
+        squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+    log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + squared) - log_det
+    if d == 3:
         mirror_up(x_out, P_out, floor)
-    statistic[0] = found[0]
-    fired[0] = found[0] >= thresholds[count]
-    log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + found[1]) - found[2]
