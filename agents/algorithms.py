@@ -37,7 +37,7 @@ class Algorithm(NamedTuple):
     def refusal(self, preset: dict[str, Any], actions: str) -> str | None:
         """Why it cannot be trained with a preset on a scenario's kind of actions; None if it can."""
         if not self.on_policy and actions == "discrete":
-            return f"cannot choose among actions={actions!r}, it needs actions='continuous'"
+            return f"cannot choose among actions={actions!r}, it needs a Box of them, such as actions='continuous'"
         if not self.on_policy and "imitation" in preset:
             return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
         if not self.on_policy and "first_action" in preset:

@@ -41,6 +41,9 @@ EVALUATION_EPISODES = 256
 REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
+SAME = ("environment", "actions", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset")
+"""Entries of a run's configuration that must be as they were for it to be resumed."""
+
 EVALUATION_SEED = 2_000_000_000
 """Seeds of the evaluation on the way; far from training's and from the final evaluation's."""
 
@@ -267,7 +270,7 @@ def rollout_steps(run: Run) -> int:
 
 
 def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
-    """The model that a run begins with: its networks untrained, or taught by the preset's teacher."""
+    """The model that a run begins with: untrained, with the preset's first action, or taught by its teacher."""
     preset = run.preset
     algorithm = ALGORITHMS[run.algo]
     learner: Any = algorithm.learner
@@ -335,7 +338,7 @@ def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 def _check_same_run(run: Run) -> None:
     begun = read_config(run.folder)
     now = run.to_dict()
-    for name in ("environment", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset"):
+    for name in SAME:
         if begun.get(name) != now[name]:
             raise ValueError(
                 f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"
