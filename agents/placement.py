@@ -7,6 +7,7 @@ that stand for all (`passive_env.placement.representative_courses`).
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -81,9 +82,24 @@ def spaced(step_deg: float) -> Rule:
     return rule
 
 
-def even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
-    """On the ground, as near as allowed, evenly all round the expected entry or over what is allowed of it."""
-    return _even_azimuths(task, sensors), task.distance_m[:, :1], 0.0
+def fan(spread_deg: float | None, heights: tuple[float, float]) -> Rule:
+    """As near as allowed, evenly over ±`spread_deg` (None: all round), or over what is allowed of it.
+
+    Heights are shares of the highest allowed, of every other sensor the second one: lines of sight of low and high
+    sensors lie in no common plane.
+    """
+
+    def rule(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+        gaps = max(sensors - 1, 1)
+        between = 2.0 * math.pi / sensors if spread_deg is None else math.radians(2.0 * spread_deg) / gaps
+        step = np.minimum(between, 2.0 * task.azimuth_limit_rad / gaps)[:, None]
+        azimuth = step * (np.arange(sensors) - 0.5 * (sensors - 1))
+        return azimuth, task.distance_m[:, :1], task.height_limit_m[:, None] * np.take(heights, np.arange(sensors) % 2)
+
+    return rule
+
+
+even, tripod = fan(None, (0.0, 0.0)), fan(None, (0.0, 1.0))
 
 
 def stacked(task: Task, sensors: int) -> tuple[Any, Any, Any]:
@@ -100,20 +116,6 @@ def stacked_or_even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
     choices = zip(stacked(task, sensors), even(task, sensors), strict=True)
     azimuth, distance, height = (np.where(worse, one, other) for one, other in choices)
     return azimuth, distance, height
-
-
-def tripod(task: Task, sensors: int) -> tuple[Any, Any, Any]:
-    """`even` in azimuth, every other sensor at the highest place: lines of sight that lie in no common plane."""
-    return (
-        _even_azimuths(task, sensors),
-        task.distance_m[:, :1],
-        task.height_limit_m[:, None] * (np.arange(sensors) % 2),
-    )
-
-
-def _even_azimuths(task: Task, sensors: int) -> np.ndarray:
-    step = np.minimum(2.0 * math.pi / sensors, 2.0 * task.azimuth_limit_rad / max(sensors - 1, 1))
-    return step[:, None] * (np.arange(sensors) - 0.5 * (sensors - 1))
 
 
 # -- promised errors ---------------------------------------------------------------------------------------------------
@@ -143,8 +145,8 @@ def rows_of(task: Task, rows: slice) -> Task:
     return Task(*(part[rows] for part in task))
 
 
-class BestRule:
-    """Keeps to the rule whose layout promises least.
+class Planned(ABC):
+    """Plans a layout of all sensors at an episode's first decision and keeps to it.
 
     Args:
         scenario: what to act in.
@@ -152,15 +154,31 @@ class BestRule:
 
     def __init__(self, scenario: Any):
         self._promise, self._sensors = Promise(scenario), scenario.steps
+        self._plan: np.ndarray | None = None
+
+    @abstractmethod
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of whole layouts."""
 
     def reset(self, belief: PlacementBelief) -> None:
-        """Nothing to remember."""
+        """Forget the plan."""
+        self._plan = None
 
     def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, 3] for the next sensor."""
-        layouts = np.stack([layout_commands(rule, belief.task, self._sensors) for rule in RULES], axis=1)
-        rows, best = np.arange(len(layouts)), self._promise(belief.task, layouts).argmin(axis=1)
-        return layouts[rows, best, next_sensor(belief)]
+        """The plan's next commands [e, 3]."""
+        turn = next_sensor(belief)
+        if self._plan is None:
+            self._plan = self.plan(belief.task)
+        return self._plan[np.arange(len(turn)), turn]
+
+
+class BestRule(Planned):
+    """Keeps to the rule whose layout promises least."""
+
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of the best of `RULES`."""
+        layouts = np.stack([layout_commands(rule, task, self._sensors) for rule in RULES], axis=1)
+        return layouts[np.arange(len(layouts)), self._promise(task, layouts).argmin(axis=1)]
 
 
 # -- searches ----------------------------------------------------------------------------------------------------------
@@ -208,11 +226,11 @@ def commands_of(position: np.ndarray, task: Task) -> np.ndarray:
     return np.stack([commands(*place, task) for place in seen], axis=1) if seen else np.empty((len(position), 0, 3))
 
 
-class Search:
+class Search(Planned):
     """Looks for the best layout of all sensors at once with `scipy.optimize`: what the others are measured by.
 
-    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best. It plans all
-    sensors at the first decision and keeps to the plan; episode after episode, a good part of a second each.
+    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best; episode after
+    episode, a good part of a second each.
 
     Args:
         scenario: what to act in.
@@ -222,20 +240,12 @@ class Search:
     GENERATIONS, PER_NUMBER, STEP = 40, 8, 1e-4
 
     def __init__(self, scenario: Any, seed: int = 0):
-        self._promise, self._sensors, self._seed = Promise(scenario), scenario.steps, seed
-        self._plan: np.ndarray | None = None
+        super().__init__(scenario)
+        self._seed = seed
 
-    def reset(self, belief: PlacementBelief) -> None:
-        """Forget the plan."""
-        self._plan = None
-
-    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
-        """The plan's next commands [e, 3]."""
-        turn = next_sensor(belief)
-        if self._plan is None:
-            tasks = [rows_of(belief.task, slice(i, i + 1)) for i in range(len(turn))]
-            self._plan = np.stack([self.search(task) for task in tasks])
-        return self._plan[np.arange(len(turn)), turn]
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of the best layouts found."""
+        return np.stack([self.search(rows_of(task, slice(i, i + 1))) for i in range(len(task.std))])
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""
@@ -265,8 +275,10 @@ class Search:
         return best.reshape(self._sensors, 3)
 
 
-RULES: tuple[Rule, ...] = (spaced(0.0), spaced(20.0), spaced(90.0), even, stacked, stacked_or_even, tripod)
-"""All rules."""
+_HEIGHTS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
+_FANS = tuple(fan(spread_deg, heights) for spread_deg in (None, 20.0, 40.0, 60.0) for heights in _HEIGHTS)
+RULES: tuple[Rule, ...] = (spaced(0.0), spaced(20.0), spaced(90.0), stacked, *_FANS)
+"""All rules; what the best layouts of a search look like, and the paper's."""
 
 
 def _by(rule: Rule) -> Callable[[Any, int], Policy]:

@@ -14,6 +14,8 @@ from trackers.fused_ekf import FusedEkf
 from trackers.gaussian import Gaussian
 from trackers.imm import Imm3
 from trackers.imm_mie import ImmMie, InputEstimation, Mie
+from trackers.range_sum_contract import RangeSumScan, RangeSumTrack, RangeSumTracker, RangeSumUpdate
+from trackers.range_sum_ekf import RangeSumEkf, RangeSumEkfLiteral
 from trackers.rp_ekf import Bank, RpEkf
 
 DISTRIBUTION = "passive-env"
@@ -38,9 +40,13 @@ MANEUVER_TRACKERS: dict[str, type[FixTracker]] = {
 }
 """Trackers of a maneuvering target on bearings that cross, by name."""
 
+RANGE_SUM_TRACKERS: dict[str, type[RangeSumEkf]] = {"ekf": RangeSumEkf, "ekf_literal": RangeSumEkfLiteral}
+"""Trackers on bistatic range sums, by name."""
+
 __all__ = [
     "ANGLE_TRACKERS",
     "MANEUVER_TRACKERS",
+    "RANGE_SUM_TRACKERS",
     "TRACKERS",
     "AdaptiveRpEkf",
     "AngleEkf",
@@ -66,6 +72,12 @@ __all__ = [
     "Mie",
     "ModelBank",
     "PolarScan",
+    "RangeSumEkf",
+    "RangeSumEkfLiteral",
+    "RangeSumScan",
+    "RangeSumTrack",
+    "RangeSumTracker",
+    "RangeSumUpdate",
     "RpEkf",
     "Scan",
     "Tracker",
