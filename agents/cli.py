@@ -79,7 +79,7 @@ class Reproduce:
     ] = "two-station"
     """Which paper."""
     runs: int | None = None
-    """Monte-Carlo runs per seed; default 50 (two-station, imm-mie, passive-radar) or 500 (angle-fusion, radar-placement)."""
+    """Monte-Carlo runs per seed; default 500 (angle-fusion, radar-placement) or 50 (the others)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None

@@ -18,12 +18,11 @@ from agents.reproduction.passive_radar.claims import (
     DAMPINGS,
     INFLATIONS,
     LAYOUTS,
-    MANEUVER_SPAN,
     MOVED,
     UNDAMPED,
     Trials,
     all_claims,
-    record_error,
+    record_span,
 )
 from agents.reproduction.passive_radar.monte_carlo import (
     GUESS,
@@ -85,11 +84,6 @@ def reproduce_passive_radar(
     return result
 
 
-def record_span(record: Record) -> float:
-    """Horizontal RMS [m], mean of 450 to 560 s."""
-    return float(record.rms()[MANEUVER_SPAN].mean())
-
-
 def _straight_row(trials: Trials, layout: str) -> dict[str, list[float]]:
     """Horizontal RMS [m] at `SHOWN_S` by way of following, and the posterior bound."""
     rows = {way: r.rms()[[*SHOWN_S]].tolist() for (name, way), r in trials.straight.items() if name == layout}
@@ -111,12 +105,17 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
 
     straight, burning, turning = flown(TARGET), flown(TARGET, paper_maneuver()), flown(TARGET, level_turn())
     pair, high = flown(PAIR_TARGET), flown([5e3, 5e3, 10e3, 100.0, 200.0, 0.0])
+    straight_records = {name: _straight_records(name, straight) for name in LAYOUTS}
     true_guess = gaussian(PAIR_GUESSES["true"], PAIR_PRIOR_STD)
     rng = np.random.default_rng([*seeds, 1])
     return Trials(
         straight={(name, way): record for name in LAYOUTS for way, record in _straight_records(name, straight).items()},
         burning={(name, n): follow(_testing(n), LAYOUTS[name], burning, PRIOR) for name in LAYOUTS for n in _TESTS},
-        wording={name: follow_wording(RangeSumEkf(), sites, burning, PRIOR) for name, sites in LAYOUTS.items()},
+        wording={
+            (name, n): follow_wording(_testing(n), LAYOUTS[name], burning, PRIOR)
+            for name in LAYOUTS
+            for n in INFLATIONS
+        },
         turning={(name, n): follow(_testing(n), LAYOUTS[name], turning, PRIOR) for name in LAYOUTS for n in (0, 100)},
         pair={
             name: follow(RangeSumEkf(), PAIR, pair, gaussian(guess, PAIR_PRIOR_STD))
@@ -136,7 +135,7 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
         pools=geometry.pair_choices(),
         triples=geometry.triples(),
         moved={
-            name: tuple(follow(RangeSumEkf(), sites, straight, PRIOR) for sites in (LAYOUTS[name], moved))
+            name: (straight_records[name]["batch"], follow(RangeSumEkf(), moved, straight, PRIOR))
             for name, (moved, _, _) in MOVED.items()
         },
         seeds=len(seeds),

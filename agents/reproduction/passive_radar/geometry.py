@@ -135,7 +135,7 @@ def filter_ends(target, rng: np.random.Generator, batch: bool) -> Ends:
     flights = Flights(
         np.repeat(one.path, len(starts), axis=0), STD_M * rng.standard_normal((len(starts), EKF_S + 1, 3))
     )
-    prior = Gaussian(np.pad(starts, ((0, 0), (0, 2))), np.diag(np.square(PAIR_PRIOR_STD)))
+    prior = Gaussian(np.hstack([starts, np.zeros_like(starts)]), np.diag(np.square(PAIR_PRIOR_STD)))
     record = follow(PLAIN, PAIR, flights, prior, START_SCANS if batch else 1)
     first, last = solutions(one.path[0, [0, -1], :2])
     return ends_of(starts, record.error[:, -1] + one.path[0, -1, :2], first, last)

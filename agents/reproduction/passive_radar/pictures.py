@@ -1,4 +1,4 @@
-"""Pictures: the paper's figures 1 to 6 from our computations, and the two ellipses with their true and ghost solution."""
+"""Pictures: the paper's figures 1 to 6 from our computations, and two ellipses with true and ghost solution."""
 
 from __future__ import annotations
 
