@@ -76,7 +76,7 @@ class Simulation:
     def advance(self, world: World, command: Any) -> tuple[World, Any, dict[str, Any]]:
         """One step of all episodes under commands [e, a] in [−1, 1]: new world, reward [e], reward terms."""
         step = world.step + 1
-        platforms = self.scenario.move(world.platforms, command)
+        platforms = self.move(world, command)
         predicted = self.tracker.predict(world.track_state, self.scenario.step_s)
         sighting = self.sensors.sense(world.tape, step, platforms, predicted)
         update = self.tracker.update(predicted, sighting.scan)
@@ -91,6 +91,10 @@ class Simulation:
         moment = Moment(metrics, world.metrics, new.violations, command, self.finished(new))
         reward, terms = evaluate(self.scenario.reward_weights, moment)
         return new, reward, terms
+
+    def move(self, world: World, command: Any) -> Any:
+        """Platforms [e, s, n] after one step."""
+        return self.scenario.move(world.platforms, command)
 
     def command(self, world: World, values: Any) -> Any:
         """Commands [e, a] of decoded actions [e, a], by what is known of a world."""
