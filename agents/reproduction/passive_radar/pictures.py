@@ -17,10 +17,9 @@ from agents.reproduction.passive_radar.monte_carlo import (
     PAIR_GUESSES,
     PAIR_TARGET,
     POOR,
-    STD_M,
     Sites,
 )
-from passive_env.palette import BLUE, GREEN, GRID, INK, MUTED, ORANGE, PURPLE, VERMILION
+from passive_env.palette import BLUE, GREEN, GRID, INK, MUTED, ORANGE, PURPLE, SKY_BLUE, VERMILION
 from trackers.ellipse_intersection import branch, intersect
 from trackers.range_sum import range_sum
 
@@ -70,7 +69,7 @@ def comparison_picture() -> Figure:
 
 
 def _map(figure: Figure, axes: Axes, error: np.ndarray, sites: Sites, levels: Sequence[float], title: str) -> None:
-    shown = np.clip(error, levels[0], 10.0 * levels[-1])
+    shown = np.minimum(error, 10.0 * levels[-1])
     x = FINE_M / KM
     drawn = axes.contourf(x, x, shown, levels=levels, cmap="cividis", extend="both")
     axes.contour(x, x, shown, levels=levels, colors="white", linewidths=0.5)
@@ -166,12 +165,12 @@ def maneuver_picture(trials: Trials) -> Figure:
 
 def pair_picture(trials: Trials) -> Figure:
     """Figure 6: two transmitters; single-scan solutions of one run and its tracks from both guesses."""
-    figure = Figure(figsize=(11.0, 5.4), layout="constrained")
+    figure = Figure(figsize=(7.6, 7.0), layout="constrained")
     flights = trials.flights["pair"]
     sums = flights.heard(PAIR).range_sums[0]
     roots = intersect(sums, PAIR.transmitters, PAIR.receiver)
     for axes, (name, guess) in zip(figure.subplots(1, 2), PAIR_GUESSES.items(), strict=True):
-        for i, (label, color) in enumerate((("solution, det H > 0", MUTED), ("solution, det H < 0", GRID))):
+        for i, (label, color) in enumerate((("solutions, det H > 0", MUTED), ("solutions, det H < 0", SKY_BLUE))):
             shown = roots.position[roots.valid[:, i], i] / KM
             axes.plot(*shown.T, ".", color=color, markersize=2, label=label)
         track = trials.pair[name].error[0] + flights.path[0, :, :2]
@@ -200,7 +199,8 @@ def ellipse_picture() -> Figure:
     axes.plot(*true, "*", color=VERMILION, markersize=14, markeredgecolor=INK, label="target, det H > 0")
     axes.plot(*ghost, "X", color=PURPLE, markersize=10, markeredgecolor=INK, label="ghost, det H < 0 (grey)")
     _sites(axes, PAIR)
-    title = f"Two ellipses cross twice (σ = {STD_M:g} m)"
-    axes.set(title=title, xlabel="east [km]", ylabel="north [km]", aspect="equal")
+    axes.set(
+        title="Two range sums: two ellipses, which cross twice", xlabel="east [km]", ylabel="north [km]", aspect="equal"
+    )
     axes.legend(loc="upper left", fontsize=8)
     return figure
