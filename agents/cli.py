@@ -75,12 +75,12 @@ class Evaluate:
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
-    paper: Annotated[Literal["two-station", "angle-fusion", "imm-mie", "radar-placement"], tyro.conf.Positional] = (
-        "two-station"
-    )
+    paper: Annotated[
+        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar"], tyro.conf.Positional
+    ] = "two-station"
     """Which paper."""
     runs: int | None = None
-    """Monte-Carlo runs per seed; default 50 (two-station, imm-mie) or 500 (angle-fusion, radar-placement)."""
+    """Monte-Carlo runs per seed; default 500 (angle-fusion, radar-placement) or 50 (the others)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
@@ -147,6 +147,7 @@ def _reproduce(c: Reproduce) -> None:
         "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
         "imm-mie": (reproduction.reproduce_imm_mie, reproduction.print_imm_mie),
         "radar-placement": (reproduction.reproduce_radar_placement, reproduction.print_radar_placement),
+        "passive-radar": (reproduction.reproduce_passive_radar, reproduction.print_passive_radar),
     }
     reproduce, words = papers[c.paper]
     number = {} if c.runs is None else {"runs": c.runs}
