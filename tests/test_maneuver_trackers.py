@@ -26,7 +26,8 @@ from trackers.imm import ImmState, imm_predict, imm_update, motion_model
 from trackers.imm_mie import MIXINGS
 from trackers.input_estimation import MAX_WINDOW, column
 from trackers.measurement import bearing, bearing_jacobian
-from trackers.position_fix import fix_bearings, fix_directions, fix_range_sums, range_sum
+from trackers.position_fix import fix_bearings, fix_directions, fix_range_sums
+from trackers.range_sum import range_sum
 
 NEVER = 1e30
 CHAIN = ((0.85, 0.15), (0.3, 0.7))

@@ -87,6 +87,20 @@ def invert_3(A, inverse):
 
 
 @helper
+def solve_with_factor(factor, b):
+    """Overwrite b [d] by (LLᵀ)⁻¹b for a lower factor [d, d]."""
+    d = b.shape[0]
+    for i in range(d):
+        for k in range(i):
+            b[i] -= factor[i, k] * b[k]
+        b[i] /= factor[i, i]
+    for i in range(d - 1, -1, -1):
+        for k in range(i + 1, d):
+            b[i] -= factor[k, i] * b[k]
+        b[i] /= factor[i, i]
+
+
+@helper
 def mahalanobis_with_factor(factor, x):
     """xᵀ(LLᵀ)⁻¹x for a lower factor [d, d]; x [d] is overwritten by L⁻¹x."""
     d = x.shape[0]

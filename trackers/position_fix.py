@@ -19,8 +19,9 @@ import numpy as np
 
 from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
-from trackers.linalg import cholesky_in_place
+from trackers.linalg import cholesky_in_place, solve_with_factor
 from trackers.measurement import MIN_RANGE_SQUARED
+from trackers.range_sum import range_sum_row
 from trackers.triangulation_3d import fix_3d
 
 ITERATIONS = 25
@@ -139,40 +140,6 @@ def _well_conditioned(position, cov, converged, max_condition: float) -> Positio
 # -- range sums -------------------------------------------------------------------------------------------------------
 
 
-def range_sum(position, transmitter, receivers):
-    """Bistatic range sums [..., k] m: from transmitter [..., d] to position [..., d] to receivers [..., k, d]."""
-    out = np.linalg.norm(np.asarray(position) - transmitter, axis=-1)
-    back = np.linalg.norm(np.asarray(position)[..., None, :] - receivers, axis=-1)
-    return out[..., None] + back
-
-
-@helper
-def _range_sum_row(p, transmitter, receiver, row):
-    """Range sum [m] at p [d]; fills row [d], its derivative."""
-    out = back = 0.0
-    for i in range(p.shape[0]):
-        out += (p[i] - transmitter[i]) ** 2
-        back += (p[i] - receiver[i]) ** 2
-    out, back = math.sqrt(max(out, MIN_RANGE_SQUARED)), math.sqrt(max(back, MIN_RANGE_SQUARED))
-    for i in range(p.shape[0]):
-        row[i] = (p[i] - transmitter[i]) / out + (p[i] - receiver[i]) / back
-    return out + back
-
-
-@helper
-def _solve(factor, b):
-    """Overwrite b [d] by (LLᵀ)⁻¹b."""
-    d = b.shape[0]
-    for i in range(d):
-        for k in range(i):
-            b[i] -= factor[i, k] * b[k]
-        b[i] /= factor[i, i]
-    for i in range(d - 1, -1, -1):
-        for k in range(i + 1, d):
-            b[i] -= factor[k, i] * b[k]
-        b[i] /= factor[i, i]
-
-
 @kernel("(k),(k),(d),(k,d),(k,k),(d)->(d),(d,d),()", "FBFFFFFFb")
 def _fix_range_sums(sums, used, transmitter, receivers, noise, start, position, cov, settled):
     k, d = receivers.shape
@@ -188,7 +155,7 @@ def _fix_range_sums(sums, used, transmitter, receivers, noise, start, position, 
     settled[0] = False
     for _ in range(ITERATIONS):
         for i in range(k):
-            J[i, d] = sums[i] - _range_sum_row(position, transmitter, receivers[i], J[i, :d])
+            J[i, d] = sums[i] - range_sum_row(position, transmitter, receivers[i], J[i, :d], d)
             for c in range(d + 1):
                 J[i, c] = J[i, c] if used[i] else 0.0
                 for j in range(i):
@@ -210,7 +177,7 @@ def _fix_range_sums(sums, used, transmitter, receivers, noise, start, position, 
                 position[:] = 0.0
                 return
         gradient = step.copy()
-        _solve(A, step)
+        solve_with_factor(A, step)
         for a in range(d):
             position[a] += step[a]
             length += gradient[a] * step[a]
@@ -220,7 +187,7 @@ def _fix_range_sums(sums, used, transmitter, receivers, noise, start, position, 
         if length < SETTLED:
             for a in range(d):
                 cov[a, a] = 1.0
-                _solve(A, cov[a])
+                solve_with_factor(A, cov[a])
             settled[0] = True
             return
     position[:] = 0.0

@@ -1,42 +1,189 @@
-"""Extended Kalman filter on bistatic range sums, with a maneuver test that widens the prediction."""
+"""Extended Kalman filter on bistatic range sums, with a maneuver test that widens the prediction.
+
+    J = eᵀ S⁻¹ e,   e = z − F(p̂),   S = H P Hᵀ + R,      H at the prediction p̂
+
+J is χ² with as many degrees of freedom as sums were used. Where it reaches the threshold the scan is predicted again
+with N²Q, for N scales the acceleration, and used then. As the noises are independent the sums are taken one after the
+other at one linearisation, which equals the stacked update; J is then the sum of the squared whitened innovations.
+
+Where all sites lie level, a target and its mirror image below them have the same range sums. An estimate below the
+ground is therefore turned up again, position, velocity and covariance: the mirror's own track.
+Source: Xu and Wang (2009), eqs 4–13. Deviations: eq 13's S has H P Hᵀ where the print drops Hᵀ, and its e is the
+prediction's; the velocity starts from a prior; the same scan is predicted again, not the next (`range_sum_start` and
+the document of the trackers tell more).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+from scipy.stats import chi2
+
+from trackers.axis_motion import add_axis_noise, move_axes
+from trackers.compiled import helper, kernel
 from trackers.gaussian import Gaussian
+from trackers.linalg import LOG_TWO_PI
+from trackers.position_update import copy_gaussian
+from trackers.range_sum import absorb_column, range_sum_row, short_of_baseline, whitened_row_gain
 from trackers.range_sum_contract import RangeSumScan, RangeSumTrack, RangeSumUpdate
+from trackers.range_sum_start import mirror_up, start_range_sums
+
+MOST_SUMS = 64
+"""Largest number of range sums in one scan."""
 
 
 @dataclass(frozen=True)
 class RangeSumEkf:
-    """`trackers.range_sum_contract.RangeSumTracker`; SI units."""
+    """`trackers.range_sum_contract.RangeSumTracker` by an extended Kalman filter.
+
+    Settings, SI units:
+        process_noise: w, variances of the acceleration [(m/s²)²] along x, y and z; z's does not count in the plane.
+        false_alarm: probability that the maneuver test fires on a target that flies straight; 0: no test.
+        inflation: N, at least 1; a fired test multiplies the acceleration's standard deviation by it.
+        floor_m: height of the ground; estimates below it are turned up (in the plane without meaning).
+    Raises:
+        ValueError: a setting outside its range.
+    """
 
     process_noise: tuple[float, float, float] = (1.0, 1.0, 0.01)
     false_alarm: float = 1e-3
     inflation: float = 100.0
     floor_m: float = 0.0
 
+    def __post_init__(self) -> None:
+        w = np.array(self.process_noise, dtype=float)
+        good = w.shape == (3,) and bool(((w >= 0.0) & (w < np.inf)).all())
+        self._require(good, "process_noise", "three variances, not negative and finite [(m/s²)²]")
+        self._require(0.0 <= self.false_alarm < 1.0, "false_alarm", "at least 0 and below 1")
+        self._require(1.0 <= self.inflation < np.inf, "inflation", "finite and at least 1")
+        self._require(-np.inf < self.floor_m < np.inf, "floor_m", "finite")
+
+    def _require(self, met: bool, name: str, words: str) -> None:
+        if not met:
+            raise ValueError(f"{type(self).__name__}.{name} = {getattr(self, name)!r}: must be {words}")
+
+    @cached_property
+    def noise(self) -> np.ndarray:
+        """w [3] (m/s²)²."""
+        return np.array(self.process_noise, dtype=float)
+
+    @cached_property
+    def thresholds(self) -> np.ndarray:
+        """J at which the maneuver test fires, by the number of sums used."""
+        found = np.full(MOST_SUMS + 1, np.inf)
+        if self.false_alarm > 0.0:
+            found[1:] = chi2.isf(self.false_alarm, np.arange(1, MOST_SUMS + 1))
+        return found
+
     def initiate(self, scans: RangeSumScan, guess: Gaussian, times_s: Any) -> RangeSumTrack:
-        """Maximum a posteriori state at the last of the scans."""
-        raise NotImplementedError
+        """Maximum a posteriori state at the last of the scans (`trackers.range_sum_start`).
+
+        Args:
+            scans: with an axis for time: range_sums [..., t, n], transmitters [..., t, n, d], receiver [..., t, d].
+            guess: mean [..., 2d] and cov [..., 2d, 2d] at time 0.
+            times_s: [t] s, ascending, not before 0.
+        Raises:
+            ValueError: shapes that do not belong together, entries that are not finite, times out of order.
+        """
+        start = start_range_sums(scans, guess, times_s, self.noise, self.floor_m)
+        return RangeSumTrack(start.mean, start.cov, 0.0)
 
     def predict(self, state: RangeSumTrack, step_s: float) -> RangeSumTrack:
         """Propagate all tracks by one step."""
-        raise NotImplementedError
+        mean, cov = _predict(state.mean, state.cov, step_s, self.noise)
+        return RangeSumTrack(mean, cov, step_s)
 
     def update(self, state: RangeSumTrack, scan: RangeSumScan) -> RangeSumUpdate:
-        """Condition all tracks on one scan."""
-        raise NotImplementedError
+        """Condition all tracks on one scan; without an echo they coast.
+
+        A sum so short that no target can have caused it (`trackers.range_sum.short_of_baseline`) is not used.
+
+        Raises:
+            ValueError: shapes that do not belong together, entries that are not finite.
+        """
+        scan.check()
+        states, sums = 2 * np.shape(scan.receiver)[-1], np.shape(scan.range_sums)[-1]
+        if np.shape(state.mean)[-1:] != (states,) or sums > MOST_SUMS:
+            shapes = f"mean {np.shape(state.mean)}, receiver {np.shape(scan.receiver)}, {sums} range sums"
+            raise ValueError(f"update: {shapes}: must be [..., 2d], [..., d] and at most {MOST_SUMS}")
+        mean, cov, *rest = _update(*state, *scan, self.noise, self.thresholds, self.inflation, self.floor_m)
+        return RangeSumUpdate(RangeSumTrack(mean, cov, state.step_s), *rest)
 
     def estimate(self, state: RangeSumTrack) -> Gaussian:
         """Mean [..., 1, 2d] and covariance [..., 1, 2d, 2d]."""
-        raise NotImplementedError
+        return Gaussian(state.mean[..., None, :], state.cov[..., None, :, :])
 
 
 @dataclass(frozen=True)
 class RangeSumEkfLiteral(RangeSumEkf):
-    """Without the maneuver test."""
+    """Without the maneuver test: the paper's sections 2 and 3.1."""
 
     false_alarm: float = 0.0
+
+
+@kernel("(a),(a,a),(),(w)->(a),(a,a)", "FFfFFF")
+def _predict(x, P, T, w, x_out, P_out):
+    d = x.shape[0] // 2
+    copy_gaussian(x, P, 2 * d, x_out, P_out)
+    move_axes(x_out, P_out, T, d)
+    add_axis_noise(P_out, T, w, 1.0, d)
+
+
+@helper
+def _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d):
+    """Condition x_out, P_out on all used sums, linearised at x; returns J and log √det S."""
+    squared = log_det = 0.0
+    for i in range(sums.shape[0]):
+        if used[i]:
+            nu = sums[i] - range_sum_row(x, receiver, transmitters[i], row, d)
+            for j in range(d):
+                nu -= row[j] * (x_out[j] - x[j])
+            root, _ = whitened_row_gain(P_out, row, std[i] * std[i], column, d)
+            nu /= root
+            squared += nu * nu
+            log_det += math.log(root)
+            for j in range(2 * d):
+                x_out[j] += column[j] * nu
+            absorb_column(P_out, column, 2 * d)
+    return squared, log_det
+
+
+@helper
+def _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, d):
+    """Innovations [n], their variances [n] and which sums can be used [n]; returns how many."""
+    count = 0
+    for i in range(sums.shape[0]):
+        used[i] = valid[i] and not short_of_baseline(sums[i], std[i], receiver, transmitters[i], d)
+        nu[i], S[i] = 0.0, std[i] * std[i]
+        if used[i]:
+            count += 1
+            nu[i] = sums[i] - range_sum_row(x, receiver, transmitters[i], row, d)
+            S[i] += whitened_row_gain(P, row, S[i], column, d)[1]
+    return count
+
+
+@kernel(
+    "(a),(a,a),(),(n),(n),(n,d),(d),(n),(w),(c),(),()->(a),(a,a),(n),(n),(),(),(),(n)",
+    "FFfFBFFFFFffFFFFffbB",
+)
+def _update(
+    x, P, T, sums, valid, transmitters, receiver, std, w, thresholds, inflation, floor,
+    x_out, P_out, nu, S, log_likelihood, statistic, fired, used,
+):  # fmt: skip
+    row, column, d = np.empty(3), np.empty(6), x.shape[0] // 2
+    count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, d)
+    threshold = thresholds[count]
+    copy_gaussian(x, P, 2 * d, x_out, P_out)
+    squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+    statistic[0], fired[0] = squared, squared >= threshold
+    if fired[0]:
+        copy_gaussian(x, P, 2 * d, x_out, P_out)
+        add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
+        squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+    log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + squared) - log_det
+    if d == 3:
+        mirror_up(x_out, P_out, floor)

@@ -15,7 +15,8 @@ from passive_env.catalogue.maneuvering import PAPER_MIDDLE_M
 from trackers import FixTracker, Gaussian, ImmMie, Mie
 from trackers.measurement import bearing
 from trackers.motion import transition
-from trackers.position_fix import PositionFix, fix_bearings, fix_range_sums, range_sum
+from trackers.position_fix import PositionFix, fix_bearings, fix_range_sums
+from trackers.range_sum import range_sum
 
 STEP_S = 1.0
 THRESHOLD, ALWAYS, NEVER = 8.0, 1e-13, 1e30
