@@ -9,8 +9,10 @@ import numpy as np
 
 from passive_env.metrics import FARTHEST_M, MAX_NEES, Violations, at_most, violations
 from passive_env.radar_sensors import distance, sum_std
-from trackers.compiled import helper, kernel
+from trackers.axis_motion import add_axis_noise, move_axes
+from trackers.compiled import kernel
 from trackers.linalg import cholesky_in_place, mahalanobis_with_factor
+from trackers.range_sum import absorb_column, range_sum_row, whitened_row_gain
 
 
 class RadarMetrics(NamedTuple):
@@ -41,38 +43,6 @@ class RadarMetrics(NamedTuple):
     height_crlb_m: Any
 
 
-@helper
-def _predict(P, d, T, noise):
-    """P [2d, 2d] of a constant velocity after T seconds, disturbed by white accelerations of variances noise [d]."""
-    for i in range(d):
-        for j in range(2 * d):
-            P[i, j] += T * P[d + i, j]
-    for i in range(2 * d):
-        for j in range(d):
-            P[i, j] += T * P[i, d + j]
-    for i in range(d):
-        P[i, i] += 0.25 * T**4 * noise[i]
-        P[i, d + i] += 0.5 * T**3 * noise[i]
-        P[d + i, i] += 0.5 * T**3 * noise[i]
-        P[d + i, d + i] += T * T * noise[i]
-
-
-@helper
-def _condition(P, h, d, var, gain):
-    """P [2d, 2d] after a measurement of slope h [d] of the position; gain [2d] is scratch."""
-    S = var
-    for i in range(2 * d):
-        gain[i] = 0.0
-        for j in range(d):
-            gain[i] += P[i, j] * h[j]
-    for j in range(d):
-        S += h[j] * gain[j]
-    for i in range(2 * d):
-        for j in range(i + 1):
-            P[i, j] -= gain[i] * gain[j] / S
-            P[j, i] = P[i, j]
-
-
 @kernel(
     "(m,y),(m,y,y),(m,y),(m,y,y),(s,y),(n,d),(n),(d),(l)"
     "->(m,y,y),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
@@ -83,22 +53,23 @@ def _measure(mean, cov, truth, bound, platforms, transmitters, answered, noise, 
              horizontal_error, horizontal_crlb, height_error, height_crlb):  # fmt: skip
     d, receiver, T = transmitters.shape[1], platforms[0], limits[0]
     scratch = np.empty((2 * d + 4, 2 * d))  # one piece: every allocation takes time
-    factor, gain, off, sight, h = scratch[: 2 * d], scratch[2 * d], scratch[-3], scratch[-2], scratch[-1]
+    factor, column, off, sight, row = scratch[: 2 * d], scratch[2 * d], scratch[-3], scratch[-2], scratch[-1]
     new_bound[:] = bound
     for m in range(mean.shape[0]):
         P = new_bound[m]
         if T > 0.0:
-            _predict(P, d, T, noise)
+            off[:] = truth[m]
+            move_axes(off, P, T, d)
+            add_axis_noise(P, T, noise, 1.0, d)
         r = max(distance(truth[m], receiver, d), 1.0)
         for j in range(d):
             sight[j] = (truth[m, j] - receiver[j]) / r
         for i in range(answered.shape[0]):
             if answered[i]:
-                r_i = max(distance(truth[m], transmitters[i], d), 1.0)
+                r_i = range_sum_row(truth[m], receiver, transmitters[i], row, d) - r
                 std = sum_std(r, r_i, limits[1], limits[2], limits[3])
-                for j in range(d):
-                    h[j] = sight[j] + (truth[m, j] - transmitters[i, j]) / r_i
-                _condition(P, h, d, std * std, gain)
+                whitened_row_gain(P, row, std * std, column, d)
+                absorb_column(P, column, 2 * d)
         true_range[m] = r
         range_error[m] = at_most(abs(distance(mean[m], receiver, d) - r), FARTHEST_M)
         position_error[m] = at_most(distance(mean[m], truth[m], d), FARTHEST_M)
