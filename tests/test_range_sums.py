@@ -1,0 +1,563 @@
+"""Range sums: measurement, intersections, start, filter with maneuver test and bounds, each by two routes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime, least_squares
+from scipy.stats import binom, chi2, multivariate_normal
+
+from trackers import RANGE_SUM_TRACKERS, Gaussian, RangeSumEkf, RangeSumScan, RangeSumTrack, RangeSumTracker
+from trackers.axis_motion import axis_noise, axis_transition
+from trackers.consistency import mean_band, nees
+from trackers.ellipse_intersection import Intersections, branch, intersect, pick_root
+from trackers.range_sum import dilution, range_sum, range_sum_jacobian
+from trackers.range_sum_bounds import advance, position_std, posterior_bound
+from trackers.range_sum_start import fixed_damping_step
+
+KM = 1e3
+POOR = KM * np.array([[-32.0, -33.0, 0.05], [0.0, -45.0, 0.06], [-10.0, -90.0, 0.1]])
+POOR_RECEIVER = np.zeros(3)
+GOOD = KM * np.array([[-108.0, -124.7, 0.0], [-108.0, 124.7, 0.0], [108.0, 0.0, 0.0]])
+GOOD_RECEIVER = KM * np.array([-36.0, 0.0, 0.1])
+TARGET = np.array([-100e3, 150e3, 10e3, 200.0, -100.0, 0.0])
+GUESS = Gaussian(
+    np.array([-80e3, 130e3, 8e3, 0.0, 0.0, 0.0]), np.diag(np.square([20e3, 20e3, 3e3, 200.0, 200.0, 10.0]))
+)
+NOISE = np.array([1.0, 1.0, 0.01])
+STD_M = 200.0
+
+
+def fly(rng, runs, steps, start=TARGET, noise=NOISE):
+    """Paths [runs, steps + 1, 2d] with the model's accelerations, scans a second apart."""
+    d = np.shape(start)[-1] // 2
+    a = rng.standard_normal((runs, steps, d)) * np.sqrt(noise[:d])
+    path = np.empty((runs, steps + 1, 2 * d))
+    path[:, 0] = start
+    for k in range(steps):
+        path[:, k + 1, :d] = path[:, k, :d] + path[:, k, d:] + 0.5 * a[:, k]
+        path[:, k + 1, d:] = path[:, k, d:] + a[:, k]
+    return path
+
+
+def hear(rng, path, transmitters, receiver, share=1.0):
+    """Scans [runs, steps + 1, n] along the paths; a share of the echoes arrives."""
+    d = path.shape[-1] // 2
+    sums = range_sum(path[..., :d], receiver, transmitters)
+    valid = rng.random(sums.shape) < share
+    sums = np.where(valid, sums + STD_M * rng.standard_normal(sums.shape), 0.0)
+    sites = np.broadcast_to(transmitters, (*sums.shape, d))
+    return RangeSumScan(sums, valid, sites, np.broadcast_to(receiver, path[..., :d].shape), np.full(sums.shape, STD_M))
+
+
+def at(scans, key):
+    """The scans at an index or a slice of time, the axis after the runs'."""
+    return RangeSumScan(*(part[:, key] for part in scans))
+
+
+def follow(tracker, scans, first=10, guess=GUESS):
+    """Start from the first scans, filter the others: the last update and all updates' tests [runs, k]."""
+    state, fired, tracks = tracker.initiate(at(scans, slice(first)), guess, np.arange(first)), [], []
+    for k in range(first, scans.range_sums.shape[1]):
+        update = tracker.update(tracker.predict(state, 1.0), at(scans, k))
+        state = update.posterior
+        fired.append(update.maneuver)
+        tracks.append(state)
+    return tracks, np.stack(fired, axis=1)
+
+
+# -- measurement ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_jacobian_equals_finite_differences(d):
+    rng = np.random.default_rng(d)
+    p, receiver, sites = rng.uniform(-1e5, 1e5, d), rng.uniform(-1e4, 1e4, d), rng.uniform(-1e5, 1e5, (4, d))
+    slopes = approx_fprime(p, lambda x: range_sum(x, receiver, sites), 1.0)
+    np.testing.assert_allclose(range_sum_jacobian(p, receiver, sites), slopes, atol=1e-4)
+
+
+def test_range_sum_is_the_way_by_the_target():
+    assert range_sum([3.0, 4.0], [0.0, 0.0], [[3.0, 0.0], [15.0, 9.0]]) == pytest.approx([9.0, 18.0])
+
+
+def test_dilution_of_the_papers_layouts():
+    """Specification, section 3: 200 m, 10 km height."""
+    for sites, receiver, told in ((POOR, POOR_RECEIVER, (23022, 2407, 22895)), (GOOD, GOOD_RECEIVER, (992, 318, 940))):
+        found = dilution(range_sum_jacobian(TARGET[:3], receiver, sites), STD_M)
+        assert np.array(found) == pytest.approx(told, rel=2e-3)
+
+
+def test_dilution_equals_the_inverse_information():
+    rng = np.random.default_rng(5)
+    H, std = rng.standard_normal((7, 5, 3)), rng.uniform(50.0, 300.0, (7, 5))
+    cov = np.linalg.inv(np.einsum("bn,bni,bnj->bij", std**-2, H, H))
+    found = dilution(H, std)
+    np.testing.assert_allclose(found.vertical, np.sqrt(cov[:, 2, 2]))
+    np.testing.assert_allclose(found.horizontal, np.sqrt(cov[:, 0, 0] + cov[:, 1, 1]))
+    np.testing.assert_allclose(found.position, np.hypot(found.vertical, found.horizontal))
+    flat = dilution(H[..., :2], std)
+    assert (flat.vertical == 0.0).all()
+    assert (flat.position < found.horizontal).all()
+
+
+def test_the_printed_good_layout_fixes_nothing():
+    """The paper's section 3.2 prints T1 = T2 (specification, section 8.1)."""
+    printed = GOOD[[0, 0, 2]]
+    found = dilution(range_sum_jacobian(TARGET[:3], GOOD_RECEIVER, printed), STD_M)
+    assert np.isinf(found).all()
+    with pytest.raises(ValueError, match=r"intersect: transmitters coincide or lie on one line"):
+        intersect(range_sum(TARGET[:3], GOOD_RECEIVER, printed), printed, GOOD_RECEIVER)
+
+
+# -- intersections ----------------------------------------------------------------------------------------------------
+
+
+def geometries(rng, d, kind, count=2000):
+    """Targets [count, d], transmitters [count, d, d] and receivers [count, d] within some 100 km."""
+    p, sites, receiver = (rng.uniform(-1e5, 1e5, (count, *shape)) for shape in ((d,), (d, d), (d,)))
+    if kind == "level":
+        sites[..., -1] = receiver[..., -1:] = 0.0
+    if kind == "collinear":
+        line = rng.standard_normal((count, d))
+        sites, receiver = sites[..., :1] * line[:, None], receiver[..., :1] * line
+    return p, sites, receiver
+
+
+CASES = [(2, "any"), (2, "collinear"), (3, "any"), (3, "level")]
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+def test_intersections_on_2000_geometries(d, kind):
+    p, sites, receiver = geometries(np.random.default_rng(11), d, kind)
+    sums = range_sum(p, receiver, sites)
+    found = intersect(sums, sites, receiver)
+    assert found.valid.all()
+    off = np.linalg.norm(found.position - p[:, None], axis=-1).min(-1)
+    assert (off < 1e-6 * np.linalg.norm(p, axis=-1)).all()
+    told = range_sum(found.position, receiver[:, None], sites[:, None])
+    np.testing.assert_allclose(told, np.broadcast_to(sums[:, None], told.shape), rtol=1e-9)
+    signs = branch(found.position, sites[:, None], receiver[:, None])
+    assert (signs == [1.0, -1.0]).all()
+
+
+@pytest.mark.parametrize(("d", "kind"), CASES)
+def test_intersections_equal_least_squares(d, kind):
+    """Started at another place than the roots, least squares lands on one of them."""
+    rng = np.random.default_rng(12)
+    p, sites, receiver = geometries(rng, d, kind, 40)
+    sums = range_sum(p, receiver, sites)
+    roots = intersect(sums, sites, receiver).position
+    landed = 0
+    for case in range(40):
+        for root in roots[case]:
+            solved = least_squares(
+                lambda x, i: range_sum(x, receiver[i], sites[i]) - sums[i],
+                root + rng.normal(0.0, 300.0, d), args=(case,), xtol=1e-15, ftol=1e-15, gtol=1e-15,
+            )  # fmt: skip
+            if solved.cost < 1e-6:
+                off = np.linalg.norm(solved.x - roots[case], axis=-1).min()
+                assert off < 1e-6 * np.linalg.norm(solved.x)
+                landed += 1
+    assert landed > 60
+
+
+def test_mirror_of_the_poor_layout_and_ghost_of_two_transmitters():
+    """Specification, sections 6 and 7."""
+    roots = intersect(range_sum(TARGET[:3], POOR_RECEIVER, POOR), POOR, POOR_RECEIVER)
+    assert sorted(roots.position[:, 2]) == pytest.approx([-10.2e3, 10e3], rel=0.01)
+    p, sites = np.array([5e3, 5e3]), POOR[:2, :2]
+    roots = intersect(range_sum(p, np.zeros(2), sites), sites, np.zeros(2))
+    assert roots.position[0] == pytest.approx([5e3, 5e3])
+    assert roots.position[1] == pytest.approx([-14.5e3, -39.0e3], rel=5e-3)
+
+
+def side_of_polyline(p, sites, receiver):
+    """Which side of the ray, the two segments and the ray p is on: parity of crossings of a way from a fixed side."""
+    outwards = sites + 1e3 * (sites - sites[::-1])
+    corners = np.array([outwards[0], sites[0], receiver, sites[1], outwards[1]])
+    angle = sum(np.angle(complex(*(b - p)) / complex(*(a - p))) for a, b in itertools.pairwise(corners))
+    return angle > 0.0
+
+
+def test_true_and_ghost_lie_on_opposite_sides_of_the_polyline():
+    """Specification, section 6: 200 random geometries, all."""
+    p, sites, receiver = geometries(np.random.default_rng(13), 2, "any", 200)
+    roots = intersect(range_sum(p, receiver, sites), sites, receiver).position
+    for pair, t, r in zip(roots, sites, receiver, strict=True):
+        assert side_of_polyline(pair[0], t, r) != side_of_polyline(pair[1], t, r)
+
+
+def test_sums_no_point_has_leave_no_valid_root():
+    sites = np.array([[30e3, 0.0], [0.0, 30e3]])
+    short = intersect([20e3, 45e3], sites, np.zeros(2))  # below the baseline
+    apart = intersect([30.001e3, 300e3], sites, np.zeros(2))  # one ellipse around the other
+    for found in (short, apart):
+        assert not found.valid.any()
+        assert (found.position == 0.0).all()
+
+
+def test_coincident_transmitters_are_refused():
+    sites = np.array([[[3e4, 0.0], [0.0, 3e4]], [[1e4, 2e4], [1e4, 2e4]]])
+    with pytest.raises(ValueError, match=r"transmitters\[1\] coincide"):
+        intersect(np.full((2, 2), 1e5), sites, np.zeros(2))
+    with pytest.raises(ValueError, match=r"must be \[\.\.\., d\]"):
+        intersect(np.full(3, 1e5), sites[0], np.zeros(2))
+    with pytest.raises(ValueError, match="range_sums must be finite"):
+        intersect([np.nan, 1e5], sites[0], np.zeros(2))
+
+
+def test_root_by_third_echo_and_by_side():
+    """Specification, section 6: the third sum differs by 10 km at the ghost."""
+    p, pool, receiver = np.array([5e3, 5e3]), POOR[:, :2], np.zeros(2)
+    sums = range_sum(p, receiver, pool)
+    roots = intersect(sums[:2], pool[:2], receiver)
+    ghost_sum = range_sum(roots.position[1], receiver, pool)[2]
+    assert abs(ghost_sum - sums[2]) == pytest.approx(10e3, rel=0.15)
+    for third, side, chosen in ((True, -1.0, 0), (False, -1.0, 1), (False, 1.0, 0)):
+        scan = RangeSumScan(sums, np.array([True, True, third]), pool, receiver, np.full(3, STD_M))
+        assert pick_root(roots, scan, side) == (chosen, True)
+    none = Intersections(np.zeros((2, 2)), np.zeros(2, bool))
+    assert not pick_root(none, scan, 1.0)[1]
+
+
+# -- filter -----------------------------------------------------------------------------------------------------------
+
+
+def dense_update(x, P, scan, step_s, tracker):
+    """The update as the paper writes it: stacked, with matrix inverses."""
+    d, used = len(x) // 2, scan.valid
+    H = np.zeros((used.sum(), 2 * d))
+    H[:, :d] = range_sum_jacobian(x[:d], scan.receiver, scan.transmitters)[used]
+    R = np.diag(scan.std[used] ** 2)
+    e = (scan.range_sums - range_sum(x[:d], scan.receiver, scan.transmitters))[used]
+    J = e @ np.linalg.inv(H @ P @ H.T + R) @ e if used.any() else 0.0
+    fired = used.any() and tracker.false_alarm > 0 and chi2.sf(J, used.sum()) <= tracker.false_alarm
+    if fired:
+        P = P + (tracker.inflation**2 - 1.0) * axis_noise(step_s, tracker.noise[:d])
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    joseph = np.eye(2 * d) - K @ H
+    log_likelihood = multivariate_normal(np.zeros(len(e)), S).logpdf(e) if used.any() else 0.0
+    return x + K @ e, joseph @ P @ joseph.T + K @ R @ K.T, J, fired, log_likelihood
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("name", RANGE_SUM_TRACKERS)
+def test_filter_equals_dense_numpy(d, name):
+    """Echoes come and go; a jump in velocity makes the test fire."""
+    tracker, rng = RANGE_SUM_TRACKERS[name](), np.random.default_rng(20 + d)
+    pool = np.concatenate([POOR, GOOD])[:, :d]
+    path = fly(rng, 1, 120, TARGET.reshape(2, 3)[:, :d].ravel())
+    path[:, 60:, 0] += 100.0 * np.arange(61) ** 1.5
+    scans = hear(rng, path, pool, np.zeros(d), share=0.4)
+    x, P = path[0, 0], np.diag([1e3] * d + [50.0] * d) ** 2.0
+    state, fired = RangeSumTrack(x, P, 0.0), 0
+    A, Q = axis_transition(1.0, d), axis_noise(1.0, NOISE[:d])
+    for k in range(1, 121):
+        scan = RangeSumScan(*(part[0, k] for part in scans))
+        x, P = A @ x, A @ P @ A.T + Q
+        innovation = np.where(scan.valid, scan.range_sums - range_sum(x[:d], scan.receiver, scan.transmitters), 0.0)
+        update = tracker.update(tracker.predict(state, 1.0), scan)
+        x, P, *told = dense_update(x, P, scan, 1.0, tracker)
+        np.testing.assert_allclose(update.innovation, innovation, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose((update.statistic, update.maneuver, update.log_likelihood), told, rtol=1e-6)
+        np.testing.assert_allclose(update.posterior.mean, x, rtol=1e-8, atol=1e-6)
+        np.testing.assert_allclose(update.posterior.cov, P, rtol=1e-6, atol=1e-6)
+        np.testing.assert_array_equal(update.used, scan.valid)
+        state, fired = update.posterior, fired + update.maneuver
+    assert (fired > 0) == (name == "ekf")
+
+
+def test_innovation_variance_is_the_predictions():
+    rng = np.random.default_rng(3)
+    path = fly(rng, 1, 1)
+    scan = RangeSumScan(*(part[0, 1] for part in hear(rng, path, POOR, POOR_RECEIVER)))
+    scan = scan._replace(valid=np.array([True, False, True]))
+    state = RangeSumTrack(path[0, 1], GUESS.cov, 1.0)
+    H = range_sum_jacobian(state.mean[:3], POOR_RECEIVER, POOR)
+    spread = np.einsum("ni,ij,nj->n", H, GUESS.cov[:3, :3], H)
+    found = RangeSumEkf().update(state, scan)
+    np.testing.assert_allclose(found.innovation_var, STD_M**2 + np.where(scan.valid, spread, 0.0))
+    assert found.innovation[1] == 0.0
+
+
+def test_batch_equals_loop():
+    rng, tracker = np.random.default_rng(4), RangeSumEkf()
+    scans = hear(rng, fly(rng, 5, 12), POOR, POOR_RECEIVER, share=0.7)
+    batch = follow(tracker, scans)[0][-1]
+    for run in range(5):
+        alone = follow(tracker, RangeSumScan(*(part[run : run + 1] for part in scans)))[0][-1]
+        for one, all_ in zip(alone[:2], batch[:2], strict=True):
+            np.testing.assert_array_equal(one[0], all_[run])
+    empty = follow(tracker, RangeSumScan(*(part[:0] for part in scans)))[0][-1]
+    assert empty.mean.shape == (0, 6)
+    estimate = tracker.estimate(batch)
+    assert estimate.mean.shape == (5, 1, 6)
+    assert estimate.cov.shape == (5, 1, 6, 6)
+
+
+def test_trackers_obey_the_contract():
+    for make in RANGE_SUM_TRACKERS.values():
+        assert isinstance(make(), RangeSumTracker)
+
+
+def test_coasts_without_an_echo():
+    tracker, state = RangeSumEkf(), RangeSumTrack(TARGET, GUESS.cov, 1.0)
+    silent = RangeSumScan(np.zeros(3), np.zeros(3, bool), POOR, POOR_RECEIVER, np.full(3, STD_M))
+    found = tracker.update(state, silent)
+    np.testing.assert_array_equal(found.posterior.mean, TARGET)
+    np.testing.assert_array_equal(found.posterior.cov, GUESS.cov)
+    assert (found.log_likelihood, found.statistic, found.maneuver, found.used.any()) == (0.0, 0.0, False, False)
+
+
+def test_a_sum_below_the_baseline_is_not_used():
+    sums = range_sum(TARGET[:3], POOR_RECEIVER, POOR)
+    sums[1] = np.linalg.norm(POOR[1]) - 7.0 * STD_M
+    scan = RangeSumScan(sums, np.ones(3, bool), POOR, POOR_RECEIVER, np.full(3, STD_M))
+    found = RangeSumEkf().update(RangeSumTrack(TARGET, GUESS.cov, 1.0), scan)
+    np.testing.assert_array_equal(found.used, [True, False, True])
+    sums[1] = np.linalg.norm(POOR[1]) - 5.0 * STD_M
+    assert RangeSumEkf().update(RangeSumTrack(TARGET, GUESS.cov, 1.0), scan._replace(range_sums=sums)).used.all()
+
+
+def test_estimates_below_ground_are_turned_up():
+    """With level sites the mirror image has the same sums: the turned track is the one of the turned prediction."""
+    rng, tracker = np.random.default_rng(6), RangeSumEkf()
+    level = GOOD * [1.0, 1.0, 0.0]
+    a = rng.standard_normal((6, 6)) * np.array([3e3, 3e3, 1e3, 50, 50, 5])
+    above = RangeSumTrack(TARGET, a.T @ a, 1.0)
+    flip = np.diag([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
+    below = RangeSumTrack(flip @ TARGET, flip @ above.cov @ flip, 1.0)
+    sums = range_sum(TARGET[:3], np.zeros(3), level) + 100.0
+    scan = RangeSumScan(sums, np.ones(3, bool), level, np.zeros(3), np.full(3, STD_M))
+    one, other = tracker.update(above, scan).posterior, tracker.update(below, scan).posterior
+    assert one.mean[2] > 0.0
+    np.testing.assert_allclose(other.mean, one.mean)
+    np.testing.assert_allclose(other.cov, one.cov)
+    sunk = replace(tracker, floor_m=-1e6).update(below, scan).posterior
+    assert sunk.mean[2] < 0.0
+
+
+def test_false_alarm_rate_of_the_maneuver_test():
+    """On a target that flies by the filter's own model; the band is the binomial's."""
+    rng = np.random.default_rng(7)
+    scans = hear(rng, fly(rng, 300, 110), GOOD, GOOD_RECEIVER)
+    for false_alarm in (1e-3, 1e-2):
+        _, fired = follow(RangeSumEkf(false_alarm=false_alarm, inflation=1.0), scans, first=20)
+        low, high = binom.ppf([1e-3, 1 - 1e-3], fired.size, false_alarm)
+        assert low <= fired.sum() <= high
+
+
+def test_filter_is_honest_in_the_good_layout():
+    rng = np.random.default_rng(8)
+    path = fly(rng, 200, 100)
+    tracks, _ = follow(RangeSumEkf(), hear(rng, path, GOOD, GOOD_RECEIVER))
+    low, high = mean_band(6, 200)
+    assert low < nees(tracks[-1].mean, tracks[-1].cov, path[:, -1]).mean() < high
+
+
+def test_maneuver_test_follows_a_turn_that_the_plain_filter_loses():
+    """Specification, scenario C in short: 12.8 m/s² for 30 s."""
+    rng = np.random.default_rng(9)
+    path = fly(rng, 40, 100)
+    t = np.clip(np.arange(101.0) - 60.0, 0.0, 30.0)[:, None]
+    path[..., :2] += (0.5 * t**2 + t * np.clip(np.arange(101.0)[:, None] - 90.0, 0.0, None)) * [-8.0, 10.0]
+    scans = hear(rng, path, GOOD, GOOD_RECEIVER)
+    errors = []
+    for name in ("ekf", "ekf_literal"):
+        tracks, _ = follow(RANGE_SUM_TRACKERS[name](), scans)
+        errors.append(np.linalg.norm(tracks[80].mean[:, :2] - path[:, 90, :2], axis=-1).mean())
+    assert errors[0] < 350.0 < 900.0 < errors[1]
+
+
+# -- start ------------------------------------------------------------------------------------------------------------
+
+
+def start_by_scipy(scans, guess, times):
+    """Maximum a posteriori state at time 0 and its covariance by `scipy.optimize.least_squares`."""
+    d = guess.mean.size // 2
+    root = np.linalg.cholesky(np.linalg.inv(guess.cov)).T
+
+    def residuals(x):
+        p = x[:d] + np.asarray(times)[:, None] * x[d:]
+        miss = (range_sum(p, scans.receiver, scans.transmitters) - scans.range_sums) / scans.std
+        return np.concatenate([miss[scans.valid], root @ (x - guess.mean)])
+
+    scale = np.sqrt(np.diag(guess.cov))
+    found = least_squares(residuals, guess.mean, "3-point", x_scale=scale, diff_step=1e-4, xtol=1e-14, ftol=1e-14)
+    return found.x, np.linalg.inv(found.jac.T @ found.jac)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("count", [1, 10])
+def test_start_equals_scipy(d, count):
+    rng, times = np.random.default_rng(30 + d), np.arange(count) + 0.5
+    keep = np.r_[:d, 3 : 3 + d]
+    guess = Gaussian(GUESS.mean[keep], GUESS.cov[np.ix_(keep, keep)])
+    scans = hear(rng, fly(rng, 6, count - 1, TARGET[keep]), GOOD[:, :d], GOOD_RECEIVER[:d], share=0.8)
+    found = RangeSumEkf(process_noise=(0.0, 0.0, 0.0)).initiate(scans, guess, times)
+    A = axis_transition(times[-1], d)
+    for run in range(6):
+        x, P = start_by_scipy(RangeSumScan(*(part[run] for part in scans)), guess, times)
+        std = np.sqrt(np.diag(A @ P @ A.T))
+        assert (np.abs(found.mean[run] - A @ x) < 1e-3 * std).all()
+        assert (np.abs(found.cov[run] - A @ P @ A.T) < 1e-3 * np.outer(std, std)).all()
+
+
+def test_start_is_honest():
+    """Errors of starts drawn about the guess, in units of the claimed covariance."""
+    rng = np.random.default_rng(32)
+    lift = np.array([0.0, 0.0, 12e3, 0.0, 0.0, 0.0])
+    truth = GUESS.mean + lift + rng.standard_normal((200, 6)) * np.sqrt(np.diag(GUESS.cov))
+    guess = GUESS._replace(mean=GUESS.mean + lift)
+    path = fly(rng, 200, 9, truth)
+    found = RangeSumEkf().initiate(hear(rng, path, GOOD, GOOD_RECEIVER), guess, np.arange(10))
+    low, high = mean_band(6, 200)
+    assert low < nees(found.mean, found.cov, path[:, -1]).mean() < high
+
+
+def test_start_without_an_echo_is_the_guess():
+    silent = RangeSumScan(
+        np.zeros((4, 3)), np.zeros((4, 3), bool), POOR[None], np.zeros((1, 3)), np.full((4, 3), STD_M)
+    )
+    found = RangeSumEkf().initiate(silent, GUESS, [0.0, 1.0, 2.0, 3.0])
+    A, cov = axis_transition(1.0, 3), GUESS.cov
+    for _ in range(3):
+        cov = A @ cov @ A.T + axis_noise(1.0, NOISE)
+    np.testing.assert_allclose(found.mean, axis_transition(3.0, 3) @ GUESS.mean)
+    np.testing.assert_allclose(found.cov, cov, rtol=1e-9)
+
+
+def test_start_from_below_ground_ends_above():
+    """Low guess, level sites: the mirror fits as well, and is refused."""
+    rng = np.random.default_rng(33)
+    level = GOOD * [1.0, 1.0, 0.0]
+    scans = hear(rng, fly(rng, 20, 9), level, np.zeros(3))
+    guess = Gaussian(GUESS.mean * [1, 1, -0.2, 1, 1, 1], np.diag(np.square([2e4, 2e4, 1e4, 200, 200, 10])))
+    found = RangeSumEkf().initiate(scans, guess, np.arange(10.0))
+    assert (found.mean[:, 2] > 5e3).all()
+
+
+def test_fixed_damping_step_is_equation_12():
+    rng = np.random.default_rng(34)
+    scan = RangeSumScan(*(part[0, 0] for part in hear(rng, fly(rng, 1, 0), POOR, POOR_RECEIVER)))
+    p = GUESS.mean[:3]
+    H = range_sum_jacobian(p, POOR_RECEIVER, POOR)
+    e = scan.range_sums - range_sum(p, POOR_RECEIVER, POOR)
+    expected = p + np.linalg.solve(H.T @ H + 0.01 * np.eye(3), H.T @ e)
+    np.testing.assert_allclose(fixed_damping_step(p, scan, 0.01), expected)
+    with pytest.raises(ValueError, match=r"damping = 0\.0"):
+        fixed_damping_step(p, scan, 0.0)
+
+
+# -- bounds -----------------------------------------------------------------------------------------------------------
+
+
+def straight(steps):
+    t = np.arange(steps + 1.0)[:, None]
+    return np.hstack([TARGET[:3] + t * TARGET[3:], np.tile(TARGET[3:], (steps + 1, 1))])
+
+
+@pytest.mark.parametrize(
+    ("sites", "receiver", "told"),
+    [(POOR, POOR_RECEIVER, {20: 845, 300: 316, 450: 278, 600: 243}), (GOOD, GOOD_RECEIVER, {50: 84, 300: 63, 450: 61})],
+)
+def test_bound_of_the_papers_layouts(sites, receiver, told):
+    """Specification, section 9; the value at 300 s in the good layout is ours."""
+    bound = position_std(posterior_bound(straight(600), sites, receiver, GUESS.cov, STD_M, 1.0, NOISE))
+    assert bound.horizontal[list(told)] == pytest.approx(list(told.values()), rel=0.01)
+
+
+def test_two_forms_of_the_bound_agree():
+    path, std, share = straight(50), np.array([100.0, 200.0, 400.0]), np.array([1.0, 0.5, 0.8])
+    told = posterior_bound(path, POOR, POOR_RECEIVER, GUESS.cov, std, 1.0, NOISE, share)
+    cov = advance(GUESS.cov, path[0], POOR, POOR_RECEIVER, std, 0.0, NOISE, share)
+    for k in range(51):
+        np.testing.assert_allclose(cov, told[k], rtol=1e-6)
+        if k < 50:
+            cov = advance(cov, path[k + 1], POOR, POOR_RECEIVER, std, 1.0, NOISE, share)
+    flat = position_std(np.diag([9.0, 16.0, 1.0, 1.0]))
+    assert flat == (5.0, 5.0, 0.0)
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("process_noise", (1.0, -1.0, 0.0), "three variances"),
+        ("process_noise", (1.0, 1.0), "three variances"),
+        ("false_alarm", 1.0, "at least 0 and below 1"),
+        ("inflation", 0.5, "at least 1"),
+        ("floor_m", np.inf, "finite"),
+    ],
+)
+def test_bad_settings_are_refused(field, value, words):
+    with pytest.raises(ValueError, match=rf"RangeSumEkf\.{field} = .*{words}"):
+        RangeSumEkf(**{field: value})
+
+
+SCAN = RangeSumScan(np.full(3, 3e5), np.ones(3, bool), POOR, POOR_RECEIVER, np.full(3, STD_M))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"range_sums": np.array([1e5, np.nan, 1e5])}, r"scan\.range_sums\[1\] is nan"),
+        ({"transmitters": POOR + np.inf}, r"scan\.transmitters\[.*finite"),
+        ({"receiver": np.array([0.0, np.nan, 0.0])}, r"scan\.receiver\[1\] is nan"),
+        ({"std": np.array([200.0, 0.0, 200.0])}, r"scan\.std\[1\] is 0\.0"),
+        ({"transmitters": POOR[:2]}, "scan: range_sums"),
+        ({"transmitters": POOR[:, :2]}, "scan: range_sums"),
+        ({"receiver": np.zeros(2), "transmitters": POOR[:, :2]}, r"update: mean \(6,\)"),
+    ],
+)
+def test_bad_scans_are_refused(change, words):
+    with pytest.raises(ValueError, match=words), np.errstate(invalid="ignore"):
+        RangeSumEkf().update(RangeSumTrack(TARGET, GUESS.cov, 1.0), SCAN._replace(**change))
+
+
+@pytest.mark.parametrize(
+    ("guess", "times", "words"),
+    [
+        (GUESS._replace(mean=np.zeros(4)), [0.0], "guess: mean"),
+        (GUESS._replace(mean=np.full(6, np.nan)), [0.0], "guess: mean and cov must be finite"),
+        (GUESS._replace(cov=np.zeros((6, 6))), [0.0], r"guess\.cov: variances"),
+        (GUESS, [], "times_s"),
+        (GUESS, [-1.0], "times_s"),
+        (GUESS, [2.0, 1.0], "times_s"),
+        (GUESS, [0.0, 1.0, 2.0], r"scans\.range_sums"),
+    ],
+)
+def test_bad_starts_are_refused(guess, times, words):
+    scans = RangeSumScan(*(np.stack([part, part]) for part in SCAN))
+    if len(times) == 1:
+        scans = RangeSumScan(*(part[:1] for part in scans))
+    with pytest.raises(ValueError, match=words):
+        RangeSumEkf().initiate(scans, guess, times)
+
+
+def test_too_many_sums_are_refused():
+    n = 65
+    scan = RangeSumScan(np.ones(n), np.zeros(n, bool), np.zeros((n, 3)), np.zeros(3), np.ones(n))
+    with pytest.raises(ValueError, match="65 range sums"):
+        RangeSumEkf().update(RangeSumTrack(TARGET, GUESS.cov, 1.0), scan)
+
+
+def test_nothing_but_numbers_leaves_hostile_geometry():
+    """Target at a site, sums far off, huge and tiny spreads: finite, with positive variances."""
+    tracker = RangeSumEkf()
+    for p in (POOR[0], POOR_RECEIVER, np.array([1e7, -1e7, 1e5])):
+        for scale in (1e-3, 1.0, 1e4):
+            for sums in (range_sum(p, POOR_RECEIVER, POOR), np.full(3, 1e6)):
+                state = RangeSumTrack(np.r_[p, 0.0, 0.0, 0.0], scale**2 * GUESS.cov, 1.0)
+                for _ in range(5):
+                    found = tracker.update(tracker.predict(state, 1.0), SCAN._replace(range_sums=sums))
+                    state = found.posterior
+                    assert all(np.isfinite(part).all() for part in (*state, *found[1:]))
+                    assert (np.diag(state.cov) > 0.0).all()
