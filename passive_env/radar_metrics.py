@@ -44,8 +44,7 @@ class RadarMetrics(NamedTuple):
 
 
 @kernel(
-    "(m,y),(m,y,y),(m,y),(m,y,y),(s,y),(n,d),(n),(d),(l)"
-    "->(m,y,y),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
+    "(m,y),(m,y,y),(m,y),(m,y,y),(s,y),(n,d),(n),(d),(l)->(m,y,y),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m),(m)",
     "FFFFFFBFFFFFFFFBFFFFF",
 )
 def _measure(mean, cov, truth, bound, platforms, transmitters, answered, noise, limits,

@@ -28,6 +28,9 @@ from trackers.range_sum_contract import RangeSumScan
 ITERATIONS = 60
 FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e12
+SIDES, AWAY_STD = 2, 1.5
+"""The iteration begins at the guess, and to both sides of it along so many axes, so many standard deviations away; the
+lowest end counts. Ellipses cross twice, and a start beside the ghost ends there whatever further sums say of it."""
 SETTLED = 1e-12
 """Squared length of a step, in standard deviations, at which the iteration ends."""
 
@@ -145,7 +148,7 @@ def _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times
 
 @helper
 def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d):
-    """Levenberg–Marquardt from x [2d], in place; leaves N at the last x."""
+    """Levenberg–Marquardt from x [2d], in place; leaves N at the last x and returns the cost there."""
     n = 2 * d
     damping = FIRST_DAMPING
     cost = _cost(x, mean, W, sums, used, transmitters, receiver, std, times, p, row, d)
@@ -172,6 +175,7 @@ def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, 
             damping *= 5.0
         if length < SETTLED or damping > LARGEST_DAMPING:
             break
+    return cost
 
 
 @helper
@@ -196,12 +200,27 @@ def _start(mean, cov, sums, valid, transmitters, receiver, std, times, w, floor,
             used[t, s] = valid[t, s] and not short
     copy_gaussian(mean, cov, n, x, A)
     _invert_into(A, n, W)
-    for attempt in range(2):
-        _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d)
-        if d == 3 and x[2] < floor and attempt == 0:
-            x[2], x[5] = 2.0 * floor - x[2], -x[5]
-        else:
-            break
+    lowest, best = np.inf, np.empty(n)
+    for start in range(1 + 2 * SIDES):
+        copy_gaussian(mean, cov, n, x, A)
+        if start > 0:
+            side = (start - 1) // 2
+            x[side] += (AWAY_STD if start % 2 else -AWAY_STD) * math.sqrt(cov[side, side])
+        for attempt in range(2):
+            cost = _minimise(
+                x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d
+            )
+            if d == 3 and x[2] < floor and attempt == 0:
+                x[2], x[5] = 2.0 * floor - x[2], -x[5]
+            else:
+                break
+        if start == 0 or cost < lowest:
+            lowest = cost
+            for i in range(n):
+                best[i] = x[i]
+    for i in range(n):
+        x[i] = best[i]
+    _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d)
     _invert_into(N, n, P)
     before = 0.0
     for t in range(times.shape[0]):

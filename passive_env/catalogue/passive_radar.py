@@ -97,7 +97,9 @@ class PassiveRadar(TrackingScenario):
     """Ranges are measured: the tracker needs no prior of them."""
 
     dimensions: int = integer(2, 2, 3, "2: everything in a plane; 3: in space")
-    course: str = choice("random", ("random", "flights", "paper"), "target motion: drawn, recorded flights, the paper's")
+    course: str = choice(
+        "random", ("random", "flights", "paper"), "target motion: drawn, recorded flights, the paper's"
+    )
     steps: int = integer(300, 1, 10_000, "decisions per episode")
     step_s: float = number(1.0, 0.1, 60.0, "time between scans")
     sites: Any = free("random", "drawn, 'paper_poor', 'paper_good', or coordinates [m] of receiver and transmitters")
@@ -124,10 +126,14 @@ class PassiveRadar(TrackingScenario):
     guess_velocity_std_m_s: float = number(200.0, 0.1, 1e4, "the same of velocity")
     guess_height_std_m: float = number(3e3, 1.0, 1e5, "error of the guessed height, in space")
     guess_climb_std_m_s: float = number(10.0, 0.1, 1e3, "the same of the vertical velocity")
-    process_noise_m_s2: float = number(1.0, 0.0, 50.0, "white level acceleration per axis, of drawn targets and tracker")
+    process_noise_m_s2: float = number(
+        1.0, 0.0, 50.0, "white level acceleration per axis, of drawn targets and tracker"
+    )
     climb_noise_m_s2: float = number(0.1, 0.0, 50.0, "the same of the vertical one")
     tracker: Any = free("ekf", f"{' or '.join(RANGE_SUM_TRACKERS)}, or an object with the tracker contract")
-    corridor_offset_min_m: float = number(5e3, 0.0, 1e6, "least drawn distance of the target's corridor from the receiver")
+    corridor_offset_min_m: float = number(
+        5e3, 0.0, 1e6, "least drawn distance of the target's corridor from the receiver"
+    )
     corridor_offset_max_m: float = number(60e3, 0.0, 1e6, "largest")
     corridor_start_min_m: float = number(0.0, 0.0, 1e6, "least drawn way to the corridor's nearest point at first")
     corridor_start_max_m: float = number(60e3, 0.0, 1e6, "largest")
