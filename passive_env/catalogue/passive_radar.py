@@ -120,7 +120,7 @@ class PassiveRadar(TrackingScenario):
     blocked_min_s: float = number(30.0, 0.0, 1e4, "shortest time for which a transmitter is blocked")
     blocked_max_s: float = number(60.0, 0.0, 1e4, "longest; 0: never")
     clear_min_s: float = number(30.0, 1.0, 1e5, "shortest time between")
-    clear_max_s: float = number(120.0, 1.0, 1e5, "longest")
+    clear_max_s: float = number(60.0, 1.0, 1e5, "longest")
     acquisition_scans: int = integer(10, 1, 100, "scans, all transmitters in turn, from which the track is started")
     guess_position_std_m: float = number(20e3, 1.0, 1e6, "error of the operator's guess, per level axis")
     guess_velocity_std_m_s: float = number(200.0, 0.1, 1e4, "the same of velocity")
