@@ -16,7 +16,7 @@ class Algorithm(NamedTuple):
         learner: its class.
         network: name of its policy class.
         on_policy: it learns from whole episodes of all environments and forgets them. Otherwise it learns between steps
-            from a replay buffer, knows continuous actions only, and cannot imitate a teacher first.
+            from a replay buffer, knows continuous actions only, and cannot begin with a teacher's or a rule's actions.
     """
 
     learner: type[BaseAlgorithm]
@@ -37,9 +37,11 @@ class Algorithm(NamedTuple):
     def refusal(self, preset: dict[str, Any], actions: str) -> str | None:
         """Why it cannot be trained with a preset on a scenario's kind of actions; None if it can."""
         if not self.on_policy and actions == "discrete":
-            return f"cannot choose among actions={actions!r}, it needs actions='continuous'"
+            return f"cannot choose among actions={actions!r}, it needs a Box of them, such as actions='continuous'"
         if not self.on_policy and "imitation" in preset:
             return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
+        if not self.on_policy and "first_action" in preset:
+            return "has no mean action to begin with, its preset must not say 'first_action'"
         if preset.get("asymmetric", False) and (self.learner, self.network) != (PPO, "MlpPolicy"):
             return "has no critic that could know more than its actor, its preset must not say 'asymmetric = true'"
         return None

@@ -26,7 +26,8 @@ class Train:
     env: str = "passive/TwoStation-v0"
     """Environment id (see `passive-env list`)."""
     algo: str = "ppo"
-    """Learning algorithm: ppo (imitates a teacher first), ppo_scratch, recurrent_ppo (LSTM, imitates first) or sac."""
+    """Learning algorithm: ppo (begins as a rule or a teacher's imitation, as its preset says), ppo_scratch (begins with
+    nothing), recurrent_ppo (LSTM) or sac."""
     timesteps: int | None = None
     """Environment steps to train for; default from the preset."""
     seed: int = 0

@@ -81,9 +81,24 @@ def spaced(step_deg: float) -> Rule:
     return rule
 
 
-def even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
-    """On the ground, as near as allowed, evenly all round the expected entry or over what is allowed of it."""
-    return _even_azimuths(task, sensors), task.distance_m[:, :1], 0.0
+def fan(spread_deg: float | None, heights: tuple[float, float]) -> Rule:
+    """As near as allowed, evenly over ±`spread_deg` (None: all round), or over what is allowed of it.
+
+    Heights are shares of the highest allowed, of every other sensor the second one: lines of sight of low and high
+    sensors lie in no common plane.
+    """
+
+    def rule(task: Task, sensors: int) -> tuple[Any, Any, Any]:
+        gaps = max(sensors - 1, 1)
+        between = 2.0 * math.pi / sensors if spread_deg is None else math.radians(2.0 * spread_deg) / gaps
+        step = np.minimum(between, 2.0 * task.azimuth_limit_rad / gaps)[:, None]
+        azimuth = step * (np.arange(sensors) - 0.5 * (sensors - 1))
+        return azimuth, task.distance_m[:, :1], task.height_limit_m[:, None] * np.take(heights, np.arange(sensors) % 2)
+
+    return rule
+
+
+even, tripod = fan(None, (0.0, 0.0)), fan(None, (0.0, 1.0))
 
 
 def stacked(task: Task, sensors: int) -> tuple[Any, Any, Any]:
@@ -100,20 +115,6 @@ def stacked_or_even(task: Task, sensors: int) -> tuple[Any, Any, Any]:
     choices = zip(stacked(task, sensors), even(task, sensors), strict=True)
     azimuth, distance, height = (np.where(worse, one, other) for one, other in choices)
     return azimuth, distance, height
-
-
-def tripod(task: Task, sensors: int) -> tuple[Any, Any, Any]:
-    """`even` in azimuth, every other sensor at the highest place: lines of sight that lie in no common plane."""
-    return (
-        _even_azimuths(task, sensors),
-        task.distance_m[:, :1],
-        task.height_limit_m[:, None] * (np.arange(sensors) % 2),
-    )
-
-
-def _even_azimuths(task: Task, sensors: int) -> np.ndarray:
-    step = np.minimum(2.0 * math.pi / sensors, 2.0 * task.azimuth_limit_rad / max(sensors - 1, 1))
-    return step[:, None] * (np.arange(sensors) - 0.5 * (sensors - 1))
 
 
 # -- promised errors ---------------------------------------------------------------------------------------------------
@@ -265,8 +266,10 @@ class Search:
         return best.reshape(self._sensors, 3)
 
 
-RULES: tuple[Rule, ...] = (spaced(0.0), spaced(20.0), spaced(90.0), even, stacked, stacked_or_even, tripod)
-"""All rules."""
+_HEIGHTS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
+_FANS = tuple(fan(spread_deg, heights) for spread_deg in (None, 20.0, 40.0, 60.0) for heights in _HEIGHTS)
+RULES: tuple[Rule, ...] = (spaced(0.0), spaced(20.0), spaced(90.0), stacked, *_FANS)
+"""All rules; what the best layouts of a search look like, and the paper's."""
 
 
 def _by(rule: Rule) -> Callable[[Any, int], Policy]:

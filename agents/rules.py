@@ -163,7 +163,7 @@ class OpenBaseline:
 
     def reset(self, belief: Belief) -> None:
         """Decide who crosses."""
-        sides = _outward(belief)
+        sides = outward(belief.platforms, belief.mean)
         off = course(belief.platforms) - line_of_sight(belief.platforms, belief.mean)
         turning, otherwise = (np.abs(wrap(side * self._wide - off)).mean(axis=1) for side in (sides, -sides))
         saved = (turning - otherwise) / max(self._turn_per_step, 1e-12)
@@ -175,7 +175,7 @@ class OpenBaseline:
         sight = line_of_sight(belief.platforms, belief.mean)
         bent = np.minimum(_widest_crossing(sight) / self._crossing, 1.0)
         angle = self._wide + (self._narrow - self._wide) * bent
-        sides = np.where(self._crossed, self._sides, _outward(belief))
+        sides = np.where(self._crossed, self._sides, outward(belief.platforms, belief.mean))
         headings = sight + sides * angle[:, None]
         near = np.abs(wrap(headings - course(belief.platforms))) <= self._within
         driving = near & ~self._halts(belief)[:, None]
@@ -186,19 +186,6 @@ class OpenBaseline:
         """[e] whether this is a step on which all halt."""
         number = self._steps - belief.steps_left + 1
         return np.zeros(len(number), dtype=bool) if self._halt_every is None else number % self._halt_every == 0
-
-
-def _outward(belief: Belief) -> np.ndarray:
-    """Sides [e, s] of stations across the mean line of sight: +1 for the left half, −1 for the right half.
-
-    A station in the middle of an odd number goes to the side of its own line of sight that its course is on.
-    """
-    sight, places = middle_sight(belief)[:, None], belief.platforms[..., :2]
-    across = np.cos(sight) * places[..., 1] - np.sin(sight) * places[..., 0]
-    ranks = np.argsort(np.argsort(-across, axis=1, kind="stable"), axis=1)
-    fan = np.sign(places.shape[1] - 1 - 2 * ranks)
-    off = wrap(course(belief.platforms) - line_of_sight(belief.platforms, belief.mean))
-    return np.where(fan == 0, np.where(off >= 0.0, 1.0, -1.0), fan)
 
 
 def _longest(platforms: np.ndarray) -> np.ndarray:

@@ -41,6 +41,9 @@ EVALUATION_EPISODES = 256
 REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
+SAME = ("environment", "actions", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset")
+"""Entries of a run's configuration that must be as they were for it to be resumed."""
+
 EVALUATION_SEED = 2_000_000_000
 """Seeds of the evaluation on the way; far from training's and from the final evaluation's."""
 
@@ -83,6 +86,11 @@ class Run:
     def training_scenario(self) -> Any:
         """The same with the preset's rewards."""
         return make_scenario(self.scenario_name, {**self.preset.get("scenario", {}), **self.fields})
+
+    @property
+    def preset_actions(self) -> str:
+        """The kind of actions that the preset is written for; the user's fields may ask for another."""
+        return make_scenario(self.scenario_name, self.preset.get("scenario", {})).actions
 
     @property
     def asymmetric(self) -> bool:
@@ -262,7 +270,7 @@ def rollout_steps(run: Run) -> int:
 
 
 def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
-    """The model that a run begins with: its networks untrained, or taught by the preset's teacher."""
+    """The model that a run begins with: untrained, with the preset's first action, or taught by its teacher."""
     preset = run.preset
     algorithm = ALGORITHMS[run.algo]
     learner: Any = algorithm.learner
@@ -278,7 +286,7 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
     quicken(model.policy)
-    if "first_action" in preset:
+    if "first_action" in preset and run.training_scenario.actions == run.preset_actions:
         begin_with(model, preset["first_action"])
     if "imitation" in preset:
         imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
@@ -288,15 +296,24 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 def begin_with(model: BaseAlgorithm, action: Sequence[float]) -> None:
     """Let an untrained actor's mean action be this one, whatever it sees: a rule to start from.
 
+    Args:
+        model: of an on-policy algorithm that draws actions from a Box.
+        action: values in the order of the action; each stands for as many of its numbers as there are more of these
+            than of values. Two are one per kind where every platform has two kinds of numbers, whatever the number of
+            platforms; as many as an action has numbers are the action itself.
     Raises:
-        ValueError: a number of values that the action space does not have.
+        ValueError: no values, or not a whole number of an action's numbers for each.
     """
     policy: Any = model.policy
     bias = policy.action_net.bias
-    if tuple(bias.shape) != (len(action),):
-        raise ValueError(f"first_action has {len(action)} values, must have {len(bias)}, one per number of an action")
+    each, over = divmod(len(bias), len(action)) if len(action) else (0, 0)
+    if each == 0 or over:
+        raise ValueError(
+            f"first_action has {len(action)} values, must have one per kind of number or {len(bias)}, one per number "
+            f"of an action: a divisor of {len(bias)}"
+        )
     with torch.no_grad():
-        bias.copy_(torch.as_tensor(action))
+        bias.copy_(torch.as_tensor(np.repeat(action, each)))
 
 
 class LinearDecay:
@@ -321,7 +338,7 @@ def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 def _check_same_run(run: Run) -> None:
     begun = read_config(run.folder)
     now = run.to_dict()
-    for name in ("environment", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset"):
+    for name in SAME:
         if begun.get(name) != now[name]:
             raise ValueError(
                 f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"

@@ -18,8 +18,8 @@ from passive_env.steering import course, left_to_turn, line_of_sight, outward
 from trackers.angles import wrap
 
 HARD_TURN_DEG = 60.0
-"""A platform that turns as hard as it can is taken to head for this much off its course: whoever learns from such an
-action may then err without turning the other way."""
+"""A platform that turns as hard as it can is taken to head for this much off its course, or for as much as a step turns
+it if that is more: whoever learns from such an action may then err without turning the other way."""
 
 
 class Continuous:
@@ -60,9 +60,10 @@ class Continuous:
 class Headings(Continuous):
     """A Box in [−1, 1] of headings to turn to, as shares of 180° off a platform's own line of sight, then any climbs.
 
-    Positive is outwards: the platform that is left of the others, looking along the mean line of sight, turns to the
-    left of its own. Platforms turn as fast as they can until they fly on the heading. What is constant here opens the
-    baseline and keeps it open; exploring about it moves platforms where shares of turn rates would average out.
+    Positive is outwards (`passive_env.steering.outward`): the left half of the platforms, looking along the mean line
+    of sight, turns to the left of their own. Platforms turn as fast as they can until they fly on the heading. What is
+    constant here opens the baseline and keeps it open; exploring about it moves platforms where shares of turn rates
+    would average out.
 
     Args:
         size, odd: as of `Continuous`; the first `platforms` numbers are headings.
@@ -87,12 +88,16 @@ class Headings(Continuous):
         return np.clip(left / max(self._turn_per_step, 1e-12), -1.0, 1.0)
 
     def encode(self, commands: np.ndarray, belief: Belief | None = None) -> np.ndarray:
-        """Actions [e, a] that mean the commands [e, a] to a belief, which is needed."""
+        """Actions [e, a] that mean the commands [e, a] to a belief, which is needed.
+
+        A heading cannot name turns of 180° or more: where a step can turn so far, such a command comes back as another.
+        """
         if belief is None:
             raise TypeError("encode(commands, belief): headings off a line of sight need the belief")
         n = self._platforms
         turns = commands[:, :n]
-        ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step * turns, math.radians(HARD_TURN_DEG) * turns)
+        hardest = max(math.radians(HARD_TURN_DEG), self._turn_per_step)
+        ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step, hardest) * turns
         aim = course(belief.platforms) + ahead
         off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
         return np.concatenate([np.nan_to_num(off) / math.pi, commands[:, n:]], axis=1).astype(np.float32)
@@ -105,17 +110,22 @@ class Headings(Continuous):
 class HeadingsAndSpeeds(Headings):
     """Headings as of `Headings`, then speeds from the lowest, −1, to the highest.
 
-    A platform that flies more than 90° off the heading turns at its lowest speed, on the spot if that is 0, whatever
-    its speed should be then: the way flown meanwhile would have to be flown back.
+    A platform that flies more than 90° off the heading, and farther off than a step turns it, turns at its lowest
+    speed, on the spot if that is 0, whatever its speed should be then: the way flown meanwhile would have to be flown
+    back.
 
     Args:
         as of `Headings`; there is a speed per platform.
     """
 
+    def __init__(self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None):
+        super().__init__(size, platforms, turn_per_step, odd)
+        self._slow_beyond = max(0.5 * math.pi, 1.001 * turn_per_step)  # beyond what rounding adds to a step's turn
+
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
         """Commands [e, a] of decoded actions [e, a], by the lines of sight to the track of a belief."""
         left = self._left_to_turn(values, belief)
-        speeds = np.where(np.abs(left) > 0.5 * math.pi, -1.0, values[:, self._platforms :])
+        speeds = np.where(np.abs(left) > self._slow_beyond, -1.0, values[:, self._platforms :])
         return np.concatenate([self._turns(left), speeds], axis=1)
 
 

@@ -76,9 +76,9 @@ class Simulation:
     def advance(self, world: World, command: Any) -> tuple[World, Any, dict[str, Any]]:
         """One step of all episodes under commands [e, a] in [−1, 1]: new world, reward [e], reward terms."""
         step = world.step + 1
-        platforms = self.scenario.move(world.platforms, command)
+        platforms = self.move(world, command)
         predicted = self.tracker.predict(world.track_state, self.scenario.step_s)
-        sighting = self._sense(world, step, platforms, predicted, command)
+        sighting = self.sense(world, step, platforms, predicted, command)
         update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
         _check_shapes(estimate, sighting.truth.shape, self.tracker)
@@ -92,7 +92,11 @@ class Simulation:
         reward, terms = evaluate(self.scenario.reward_weights, moment)
         return new, reward, terms
 
-    def _sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:
+    def move(self, world: World, command: Any) -> Any:
+        """Platforms [e, s, n] after one step."""
+        return self.scenario.move(world.platforms, command)
+
+    def sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:
         """The scan after a step, by platforms that have moved; a family's may depend on what was commanded."""
         return self.sensors.sense(world.tape, step, platforms, predicted)
 

@@ -44,7 +44,7 @@ class RadarSimulation(Simulation):
             known.blocked_probability, told.scan.std, told.statistic, told.maneuver,
         )  # fmt: skip
 
-    def _sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:
+    def sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:
         """The scan of the transmitters that the command's scores choose."""
         scores = command[:, -self.scenario.pool :]
         return self.sensors.sense(world.tape, step, platforms, predicted, scores, world.reports.listening)

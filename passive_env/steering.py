@@ -32,21 +32,8 @@ def line_of_sight(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
     return np.arctan2(to_middle[..., 1], to_middle[..., 0])
 
 
-def outward(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """+1 [..., s] for platforms [..., s, n] on the left of the line from their midpoint to the tracks, −1 on the right.
-
-    Of platforms exactly on it the first goes right, the others left.
-    """
-    places = platforms[..., :2]
-    apart = places - places.mean(-2, keepdims=True)
-    sight = mean[..., None, :, :2].mean(-2) - places.mean(-2, keepdims=True)
-    across = sight[..., 0] * apart[..., 1] - sight[..., 1] * apart[..., 0]
-    on_it = np.where(np.arange(places.shape[-2]) == 0, -1.0, 1.0)
-    return np.where(across > 0.0, 1.0, np.where(across < 0.0, -1.0, on_it))
-
-
-@kernel("(s,n),(m,n),(s)->(s)")
-def _left_to_turn(platforms, mean, off, out):
+@kernel("(s,n),(m,n)->(s)")
+def _outward(platforms, mean, out):
     stations, tracks, v = platforms.shape[0], mean.shape[0], platforms.shape[1] // 2
     x, y, px, py = 0.0, 0.0, 0.0, 0.0
     for m in range(tracks):
@@ -54,10 +41,40 @@ def _left_to_turn(platforms, mean, off, out):
     for i in range(stations):
         px, py = px + platforms[i, 0] / stations, py + platforms[i, 1] / stations
     for i in range(stations):
-        across = (x - px) * (platforms[i, 1] - py) - (y - py) * (platforms[i, 0] - px)
-        side = 1.0 if across > 0.0 or (across == 0.0 and i > 0) else -1.0
+        more_left = 0
+        for j in range(stations):
+            across = (x - px) * (platforms[j, 1] - platforms[i, 1]) - (y - py) * (platforms[j, 0] - platforms[i, 0])
+            if across > 0.0 or (across == 0.0 and j > i):
+                more_left += 1
+        fan = stations - 1 - 2 * more_left
+        if fan == 0:
+            own_left = (x - platforms[i, 0]) * platforms[i, v + 1] - (y - platforms[i, 1]) * platforms[i, v]
+            fan = 1 if own_left >= 0.0 else -1
+        out[i] = 1.0 if fan > 0 else -1.0
+
+
+def outward(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Sides [..., s] to which platforms [..., s, n] fan out, looking from their midpoint to the middle of the tracks.
+
+    +1, left, for the left half of them, −1, right, for the right half. One in the middle of an odd number goes to the
+    side of its own line of sight that its course is on. Of platforms in line with the tracks later ones count as left.
+
+    Args:
+        platforms: place and velocity, in the plane or in space.
+        mean: tracks [..., m, n], alike.
+    """
+    return _outward(platforms, mean)
+
+
+@kernel("(s,n),(m,n),(s)->(s)")
+def _left_to_turn(platforms, mean, off, out):
+    stations, tracks, v = platforms.shape[0], mean.shape[0], platforms.shape[1] // 2
+    x, y = 0.0, 0.0
+    for m in range(tracks):
+        x, y = x + mean[m, 0] / tracks, y + mean[m, 1] / tracks
+    for i in range(stations):
         dx, dy, vx, vy = x - platforms[i, 0], y - platforms[i, 1], platforms[i, v], platforms[i, v + 1]
-        left = wrap_scalar(math.atan2(vx * dy - vy * dx, vx * dx + vy * dy) + side * off[i])
+        left = wrap_scalar(math.atan2(vx * dy - vy * dx, vx * dx + vy * dy) + off[i])
         out[i] = left if math.isfinite(left) else 0.0
 
 
@@ -67,4 +84,4 @@ def left_to_turn(platforms: np.ndarray, mean: np.ndarray, off: np.ndarray) -> np
     Sights run to the middle of the tracks [..., m, n]; outwards is as of `outward`. Off the sight to a diverged track,
     where that is not a number, it is straight on.
     """
-    return _left_to_turn(platforms, mean, off)
+    return _left_to_turn(platforms, mean, outward(platforms, mean) * off)

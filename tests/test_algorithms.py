@@ -165,7 +165,7 @@ def test_help_and_list_name_every_algorithm(capsys):
 
 @pytest.mark.parametrize("make", [lambda *a, **fields: plan("Ownship", *a, **fields), tiny_run], ids=["plan", "run"])
 def test_sac_refuses_discrete_actions(make, tmp_path):
-    with pytest.raises(ValueError, match=r"--algo sac .*actions='discrete'.*needs actions='continuous'"):
+    with pytest.raises(ValueError, match=r"--algo sac .*actions='discrete'.*needs a Box .* actions='continuous'"):
         make(tmp_path / "run", "sac", fields={**FIELDS, "actions": "discrete"})
 
 

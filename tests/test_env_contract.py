@@ -95,6 +95,8 @@ PARTS_OF_MANEUVERS = {"acceleration": np.float64, "model_probability": np.float6
 """The same with an axis of components or models."""
 INFO_OF_PLACEMENT = {"position_crlb_m": np.float64, "track_error_m": np.float64}
 """What those in which sensors are placed show besides."""
+INFO_OF_MOVING_SENSORS = {"position_crlb_m": np.float64}
+"""The same where they go on moving."""
 PER_EPISODE = "task."
 """Observed numbers that are the same throughout an episode."""
 MIDDLE = (".azimuth_sin",)
@@ -128,6 +130,7 @@ def arrays_of(observation, info):
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
     known = ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")
     known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow", "ManeuveringTarget", "RadarPlacement")
+    known += ("MobilePlacement",)
     assert {f"passive/{name}-v0" for name in known} <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
@@ -301,7 +304,8 @@ def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     targets = env.unwrapped.scenario.targets
     shown = INFO | (INFO_IN_SPACE if "AngleFusion" in env_id else {})
     shown |= INFO_OF_MANEUVERS if "ManeuveringTarget" in env_id else {}
-    shown |= INFO_OF_PLACEMENT if "Placement" in env_id else {}
+    shown |= INFO_OF_PLACEMENT if "RadarPlacement" in env_id else {}
+    shown |= INFO_OF_MOVING_SENSORS if "MobilePlacement" in env_id else {}
     parts = PARTS_OF_MANEUVERS if "fixed" in shown else {}
     for _, reward, truncated, info in episode(env):
         assert set(info) == {*shown, *parts, *VIOLATIONS, "reward_terms"}

@@ -1,5 +1,6 @@
 """Actions that name headings off the line of sight: what they mean, and models that were trained on them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ from agents.learned import LearnedPolicy, observation_digest, read_config
 from agents.presets import load_preset
 from agents.rules import HoldOffSight
 from agents.sb3 import Sb3VecEnv
-from agents.training import Run, begin_with, new_model, train
+from agents.training import Run, begin_with, new_model, plan, train
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
@@ -40,12 +41,42 @@ def test_outward_is_left_for_the_left_platform():
     assert np.array_equal(outward(behind.platforms, behind.mean), [[1.0, -1.0]])
 
 
+def sides_by_rank(places, courses, target):
+    """Sides [s] of one episode: its platforms sorted from left to right, the middle of an odd number by its course."""
+    sight = target - places.mean(axis=0)
+    from_left = np.argsort(places @ [sight[1], -sight[0]])
+    sides, half = np.zeros(len(places)), len(places) // 2
+    sides[from_left[:half]], sides[from_left[len(places) - half :]] = 1.0, -1.0
+    to_target = np.arctan2(*(target - places).T[::-1])
+    return np.where(sides == 0.0, np.where(wrap(courses - to_target) >= 0.0, 1.0, -1.0), sides)
+
+
+@pytest.mark.parametrize("stations", [2, 3, 4, 5])
+def test_the_left_half_goes_left_the_right_half_right_and_a_middle_one_where_it_heads(stations):
+    rng = np.random.default_rng(stations)
+    platforms = np.concatenate(
+        [rng.normal(0.0, 1e4, (200, stations, 2)), rng.normal(0.0, 200.0, (200, stations, 2))], 2
+    )
+    mean = rng.normal(0.0, 3e4, (200, 3, 4))
+    sides = outward(platforms, mean)
+    for i in range(200):
+        expected = sides_by_rank(platforms[i, :, :2], course(platforms)[i], mean[i, :, :2].mean(axis=0))
+        assert np.array_equal(sides[i], expected)
+
+
+def test_a_middle_station_keeps_its_side_whichever_side_of_the_midpoint_it_is_on():
+    for course_deg, side in ((20.0, 1.0), (-20.0, -1.0)):
+        for north in (-50.0, 50.0):
+            belief = belief_of([(0.0, -3000.0), (0.0, north), (0.0, 3000.0)], [0.0, course_deg, 0.0])
+            assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, side, 1.0]])
+
+
 def test_what_is_left_to_turn_is_the_same_compiled_and_written_out():
-    for name in ("AngleFusion", "ManeuveringTarget"):
-        env = PassiveVectorEnv(name, num_envs=64)
+    for name, fields in (("AngleFusion", {}), ("ManeuveringTarget", {}), ("ManeuveringTarget", {"stations": 3})):
+        env = PassiveVectorEnv(name, num_envs=64, **fields)
         env.reset(seed=0)
         belief = env.belief()
-        off = np.random.default_rng(0).uniform(-np.pi, np.pi, (64, 2))
+        off = np.random.default_rng(0).uniform(-np.pi, np.pi, belief.platforms.shape[:2])
         aim = line_of_sight(belief.platforms, belief.mean) + outward(belief.platforms, belief.mean) * off
         expected = wrap(aim - course(belief.platforms))
         np.testing.assert_allclose(left_to_turn(belief.platforms, belief.mean, off), expected, atol=1e-9)
@@ -89,9 +120,21 @@ def test_stations_far_off_their_heading_turn_at_their_lowest_speed():
     )
 
 
+def test_stations_that_a_step_turns_to_their_heading_do_not_slow_down():
+    """The same sights; a step turns by 100°, enough for 91° but not for 105°."""
+    actions = HeadingsAndSpeeds(4, 2, np.radians(100.0), [True, True, False, False])
+    belief = belief_of([(0.0, -10_000.0), (0.0, 10_000.0)], [-45.0 + 91.0, 45.0 - 105.0], target=(10_000.0, 0.0))
+    np.testing.assert_allclose(
+        actions.commands(np.array([[0.5, 0.5, 0.75, 0.75]]), belief), [[-0.91, 1.0, 0.75, -1.0]], atol=1e-12
+    )
+
+
 @pytest.mark.parametrize("name", ["AngleFusion", "ManeuveringTarget"])
-def test_encoded_commands_are_the_same_commands_again(name):
-    env = PassiveVectorEnv(name, num_envs=64, actions="headings")
+@pytest.mark.parametrize(
+    "fields", [{}, {"step_s": 5.0, "max_turn_rate_deg_s": 20.0}], ids=["few degrees a step", "100 degrees a step"]
+)
+def test_encoded_commands_are_the_same_commands_again(name, fields):
+    env = PassiveVectorEnv(name, num_envs=64, actions="headings", **fields)
     env.reset(seed=1)
     belief, actions = env.belief(), env.simulation.actions
     commands = np.clip(np.random.default_rng(2).uniform(-1.5, 1.5, (64, 4)), -1.0, 1.0)
@@ -153,7 +196,6 @@ def trained(tmp_path_factory):
     """A run of one short rollout that chooses headings, on a scenario that is evaluated by rates."""
     preset = load_preset("AngleFusion", "ppo")
     preset |= {"net_arch": [8], "first_action": [0.5, 0.25, 0.0, 0.0]}
-    preset.pop("imitation", None)
     preset["scenario"] = {"actions": "headings"}
     preset["arguments"] = {**preset["arguments"], "batch_size": 30, "n_epochs": 1}
     run = Run(
@@ -196,11 +238,53 @@ def test_the_fingerprint_tells_headings_from_rates():
     assert len(set(digests.values())) == 3
 
 
+def untrained(run):
+    """A run's model before training, and its mean actions in six episodes' first belief."""
+    env = Sb3VecEnv(
+        PassiveVectorEnv(run.training_scenario, num_envs=6, autoreset_mode="same_step"), truth=run.asymmetric
+    )
+    model = new_model(run, env)
+    return model, model.predict(env.reset(), deterministic=True)[0]
+
+
 def test_an_actor_begins_with_the_first_action(trained):
-    env = PassiveVectorEnv(trained.training_scenario, num_envs=6, autoreset_mode="same_step")
-    model = new_model(trained, Sb3VecEnv(env, truth=trained.asymmetric))
-    seen = Sb3VecEnv(env, truth=trained.asymmetric).reset()
-    actions, _ = model.predict(seen, deterministic=True)
+    model, actions = untrained(trained)
     np.testing.assert_allclose(actions, np.tile([0.5, 0.25, 0.0, 0.0], (6, 1)), atol=0.1)
-    with pytest.raises(ValueError, match="first_action has 3 values, must have 4"):
-        begin_with(model, [0.5, 0.25, 0.0])
+    for values, expected in (([0.5, 0.25], [0.5, 0.5, 0.25, 0.25]), ([-0.5], [-0.5] * 4), ([0, 1, 2, 3], [0, 1, 2, 3])):
+        begin_with(model, values)
+        np.testing.assert_allclose(model.policy.action_net.bias.detach().numpy(), expected)
+    for values in ([], [0.5, 0.25, 0.0], [0.5] * 8):
+        with pytest.raises(ValueError, match=rf"first_action has {len(values)} values, must have .*divisor of 4"):
+            begin_with(model, values)
+
+
+HEADINGS_PRESETS = {"AngleFusion": (0.36, 0.0), "ManeuveringTarget": (0.42, 1.0)}
+"""Scenarios whose preset names headings: the heading and the other number that every platform begins with."""
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [(name, {}) for name in HEADINGS_PRESETS] + [("ManeuveringTarget", {"stations": n}) for n in (3, 4)],
+)
+def test_the_presets_rule_is_begun_with_whatever_the_number_of_stations(name, fields, tmp_path):
+    run = plan(name, tmp_path, envs=6, fields=fields)
+    _, actions = untrained(run)
+    stations = run.training_scenario.stations
+    np.testing.assert_allclose(actions, np.tile(np.repeat(HEADINGS_PRESETS[name], stations), (6, 1)), atol=0.1)
+
+
+@pytest.mark.parametrize("name", HEADINGS_PRESETS)
+@pytest.mark.parametrize("actions", ["continuous", "discrete"])
+def test_other_actions_than_the_presets_begin_with_no_rule(name, actions, tmp_path):
+    """Headings read as turn rates, or as scores of choices, would be some other rule."""
+    run = plan(name, tmp_path, envs=6, fields={"actions": actions})
+    model, chosen = untrained(run)
+    assert not model.policy.action_net.bias.detach().numpy().any()
+    commands = run.training_scenario.make_actions().decode(chosen, 6)
+    assert np.abs(commands).max() < 0.1 if actions == "continuous" else set(np.unique(commands)) <= {-1.0, 0.0, 1.0}
+
+
+def test_algorithms_without_a_mean_action_refuse_a_first_one(trained):
+    preset = load_preset("AngleFusion", "sac") | {"first_action": [0.36, 0.0]}
+    with pytest.raises(ValueError, match=r"--algo sac has no mean action .* must not say 'first_action'"):
+        replace(trained, algo="sac", preset=preset)

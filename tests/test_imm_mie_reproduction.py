@@ -168,15 +168,16 @@ def test_repaired_mixing_changes_little(trials, mixing):
 @pytest.mark.parametrize("name", GEOMETRY)
 def test_geometry_table(trials, name):
     """Fix, turn and IMM3's turn within 10 % of the specification's 40 runs; CV, which forty runs fix badly, in the
-    range that 40 of our runs span 99.9 % of the time."""
+    range that 40 of our runs span 99 % of the time, the one row of the document outside that 99.9 %."""
     measured, records = trials.geometry[name]
     paper, ours = GEOMETRY[name][1], geometry_row(measured, records)
     for place in (0, 2, 3):
         assert ours[place] == pytest.approx(paper[place], rel=0.10)
     squares = np.square(records[FUSED].position_error[:, scans_in(CV_S)]).sum(-1).mean(-1)
     rng = np.random.default_rng(3)
-    draws = np.sqrt(squares[rng.integers(0, len(squares), (4000, 40))].mean(1))
-    low, high = np.quantile(draws, [0.0005, 0.9995])
+    draws = np.sqrt(squares[rng.integers(0, len(squares), (40_000, 40))].mean(1))
+    outside = 0.001 if name == "ellipses, B = 10 km" else 0.01
+    low, high = np.quantile(draws, [0.5 * outside, 1.0 - 0.5 * outside])
     assert low - 0.5 <= paper[1] <= high + 0.5
 
 
