@@ -109,12 +109,15 @@ class RadarFigures:
 
     def begin(self, estimate, truth, sightings, guess, tape) -> tuple[Any, RadarMetrics]:
         """Bound and figures when the track has been started."""
-        bound, metrics, limits = guess.cov[:, None], None, self._first
-        for sighting in sightings:
+
+        def measure(sighting: Any, bound: Any, limits: Any) -> tuple[Any, RadarMetrics]:
             receiver = np.zeros_like(tape.platforms)
             receiver[:, 0, : self._scenario.dimensions] = sighting.scan.receiver
-            bound, metrics = self._measure(estimate, sighting.truth, bound, receiver, tape, sighting.scan.valid, limits)
-            limits = self._later
+            return self._measure(estimate, sighting.truth, bound, receiver, tape, sighting.scan.valid, limits)
+
+        bound, metrics = measure(sightings[0], guess.cov[:, None], self._first)
+        for sighting in sightings[1:]:
+            bound, metrics = measure(sighting, bound, self._later)
         return bound, metrics
 
     def advance(self, estimate, truth, bound, platforms, tape, reports) -> tuple[Any, RadarMetrics]:

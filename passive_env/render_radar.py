@@ -101,7 +101,7 @@ class RadarScene(Scene):
         canvas.draw()
         return np.array(np.asarray(canvas.buffer_rgba())[..., :3])
 
-    def _layer(self, values: np.ndarray, colors: list[str], box: tuple[float, ...]) -> Any:
+    def _layer(self, values: np.ndarray, colors: list[str], box: tuple[float, float, float, float]) -> Any:
         return self._rows.imshow(
             values, cmap=ListedColormap(colors), vmin=0, vmax=len(colors) - 1, aspect="auto", interpolation="nearest",
             extent=box,
@@ -151,7 +151,8 @@ class RadarScene(Scene):
         scan, own = world.reports.scan, world.platforms[0, 0, :2]
         came = np.flatnonzero(scan.valid[0])
         sums = scan.range_sums[0, came]
-        self._sums.set_segments([1e-3 * sum_ellipse(s, own, site, height) for s, site in zip(sums, sites[came])])
+        outlines = [sum_ellipse(s, own, site, height) for s, site in zip(sums, sites[came], strict=True)]
+        self._sums.set_segments([1e-3 * outline for outline in outlines])
         ghost = np.empty((0, 2))
         if len(came) >= 2 and self._in_plane:
             crossings = intersect(sums[:2], sites[came[:2]], own)

@@ -28,7 +28,7 @@ from passive_env.radar_simulation import RadarSimulation
 from passive_env.radar_tape import Echoes, RadarTape
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import Reader, draw
-from passive_env.truth import TruthObservation
+from passive_env.truth import RadarTruthObservation
 from trackers import RANGE_SUM_TRACKERS
 from trackers.compiled import kernel
 
@@ -79,6 +79,7 @@ class PassiveRadar(TrackingScenario):
 
     trackers: ClassVar[Mapping[str, Any]] = RANGE_SUM_TRACKERS
     targets: ClassVar[int] = 1
+    score: ClassVar[str] = "position"
     ordered: ClassVar[tuple[tuple[str, str], ...]] = (
         ("site_range_min_m", "site_range_max_m"),
         ("corridor_offset_min_m", "corridor_offset_max_m"),
@@ -112,8 +113,8 @@ class PassiveRadar(TrackingScenario):
     receiver_speed_m_s: float = number(0.0, 0.0, 1000.0, "0: the receiver stands and has no turn in its action")
     range_sum_std_m: float = number(200.0, 1.0, 1e4, "noise of range sums")
     std_range_m: float = number(
-        0.0, 0.0, 1e6, "noise goes with the product of the target's ranges from receiver and transmitter, and is nominal "
-        "where both are this; 0: the same everywhere",
+        0.0, 0.0, 1e6, "noise goes with the product of the target's ranges from receiver and transmitter and is the "
+        "nominal one where both are this; 0: the same everywhere",
     )  # fmt: skip
     std_floor_m: float = number(20.0, 1.0, 1e4, "least noise where it goes with the ranges")
     echo_probability: float = number(0.8, 0.01, 1.0, "of a transmitter that is not blocked")
@@ -175,8 +176,10 @@ class PassiveRadar(TrackingScenario):
             raise self._error("blocked_min_s", "must be above 0, or blocked_max_s = 0 for no blockage")
         if self.maneuvers and self.course != "random":
             raise self._error("maneuvers", f"is not used with course={self.course!r}; leave it out")
-        if self.standoff_m > 0.0 and self.receiver_speed_m_s == 0.0:
-            raise self._error("standoff_m", "the receiver stands: must be 0, or receiver_speed_m_s above it")
+        if self.standoff_m > self._nearest_m:
+            raise self._error(
+                "standoff_m", f"the target may start {self._nearest_m:.0f} m from the receiver: must not exceed this"
+            )
 
     def _check_sites(self) -> None:
         """Refuse layouts in which range sums cannot fix a position; keeps coordinates as tuples.
@@ -213,14 +216,16 @@ class PassiveRadar(TrackingScenario):
     # -- what follows from the fields ----------------------------------------------------------------------------------
 
     @property
-    def score(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The error that policies are compared by."""
-        return "position" if self.dimensions == 2 else "horizontal"
-
-    @property
     def stations(self) -> int:
         """Number of platforms: the receiver."""
         return 1
+
+    @property
+    def _nearest_m(self) -> float:
+        """Lower limit of the target's level distance from the receiver at first."""
+        if self.course == "paper":
+            return math.hypot(*PAPER_TARGET[:2])
+        return math.hypot(self.corridor_offset_min_m, self.corridor_start_min_m)
 
     @cached_property
     def pool(self) -> int:
@@ -292,9 +297,9 @@ class PassiveRadar(TrackingScenario):
             self.std_range_m > 0.0,
         )  # fmt: skip
 
-    def make_truth_observation(self) -> TruthObservation:
+    def make_truth_observation(self) -> RadarTruthObservation:
         """What a critic may know in training."""
-        return TruthObservation(self.targets, self.reference)
+        return RadarTruthObservation(self.pool)
 
     def make_sensors(self, tracker: Any) -> SumReceiver:
         """The receiver."""
@@ -367,7 +372,7 @@ class PassiveRadar(TrackingScenario):
         return math.ceil(flown / (self.quiet_min_s + self.maneuver_min_s)) if self.maneuvers else 0
 
     def _draw_path(self, u: np.ndarray, legs: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Paths [e, t, 2d] and level accelerations [e, t, 2] from uniforms, legs' uniforms and normals [e, t − 1, d]."""
+        """Paths [e, t, 2d] and level accelerations [e, t, 2] from uniforms [e, START_UNIFORMS], legs, [e, t − 1, d]."""
         d, instants = self.dimensions, z.shape[1] + 1
         limits = np.array(
             [
