@@ -103,7 +103,7 @@ class PassiveRadar(TrackingScenario):
     )
     steps: int = integer(300, 1, 10_000, "decisions per episode")
     step_s: float = number(1.0, 0.1, 60.0, "time between scans")
-    sites: Any = free("random", "drawn, 'paper_poor', 'paper_good', or coordinates [m] of receiver and transmitters")
+    sites: Any = free("random", "random, paper_poor, paper_good, or coordinates [m] of receiver, then transmitters")
     transmitters: int = integer(8, 3, 16, "size of a drawn pool")
     channels: int = integer(0, 0, 16, "transmitters listened to in a scan; 0: as many as there are dimensions")
     site_range_min_m: float = number(20e3, 1e3, 1e6, "nearest drawn transmitter from the receiver")
