@@ -166,7 +166,7 @@ def test_det_sign_rule(trials):
 
 
 def test_ghost_ends_are_told_apart():
-    """By hand: a start on the ghost's side that ends at the target, to which it is nearer; another that ends nowhere."""
+    """By hand: a start on the ghost's side that ends at the nearer target, and another that ends nowhere."""
     first = geometry.solutions(np.array([5e3, 5e3]))
     starts = np.array([[-5e3, -12e3], [30e3, 5e3]])
     found = geometry.ends_of(starts, np.array([first[0], [9e5, 9e5]]), first, first)
