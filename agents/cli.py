@@ -164,7 +164,7 @@ def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
-    from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, TRACKERS
+    from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
@@ -172,6 +172,7 @@ def _list(c: List) -> None:
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),
+        ("trackers on range sums", list(RANGE_SUM_TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):
         print(f"{title}: {', '.join(names)}")

@@ -48,7 +48,7 @@ class Trials(NamedTuple):
     """All records; runs of one seed lie together.
 
     Attributes:
-        straight: by layout and way of following: "batch", a name of `PLAIN_STARTS`, "vz 100 m/s".
+        straight: by layout and way of following: "batch", "batch, with test", a name of `PLAIN_STARTS`, "vz 100 m/s".
         burning: section 3.3's maneuver, by layout and N, 0 without the test.
         wording: the same with the next scan widened instead.
         turning: a level turn, by layout and N, 100 or 0.
@@ -182,7 +182,7 @@ def _literal_start_claims(trials: Trials, rng: np.random.Generator) -> Iterator[
 
 def _test_claims(trials: Trials) -> Iterator[dict[str, Any]]:
     for name in LAYOUTS:
-        fired = trials.straight[name, "batch"].fired[:, FIRST_TESTED:]
+        fired = trials.straight[name, "batch, with test"].fired[:, FIRST_TESTED:]
         low, high = binom.ppf([5e-4, 1 - 5e-4], fired.size, FALSE_ALARM) / fired.size
         text = f"false-alarm rate at J₀ = 16.27, {name}: in the band {low:.5f} to {high:.5f} of the design's 0.001"
         rate = float(fired.mean())
