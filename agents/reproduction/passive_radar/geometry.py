@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,6 +119,7 @@ def solutions(position: np.ndarray) -> np.ndarray:
     return intersect(range_sum(position, *PAIR), PAIR.transmitters, PAIR.receiver).position
 
 
+@cache
 def scan_ends(target, damping: float) -> Ends:
     """Eq 12 repeated on one noise-free scan from every start of the grid."""
     p, starts = np.array(target[:2]), grid(START_GRID_M).reshape(-1, 2)
@@ -135,7 +137,7 @@ def filter_ends(target, rng: np.random.Generator, batch: bool) -> Ends:
     flights = Flights(
         np.repeat(one.path, len(starts), axis=0), STD_M * rng.standard_normal((len(starts), EKF_S + 1, 3))
     )
-    prior = Gaussian(np.pad(starts, ((0, 0), (0, 2))), np.diag(np.square(PAIR_PRIOR_STD)))
+    prior = Gaussian(np.hstack([starts, np.zeros_like(starts)]), np.diag(np.square(PAIR_PRIOR_STD)))
     record = follow(PLAIN, PAIR, flights, prior, START_SCANS if batch else 1)
     first, last = solutions(one.path[0, [0, -1], :2])
     return ends_of(starts, record.error[:, -1] + one.path[0, -1, :2], first, last)
@@ -152,6 +154,7 @@ def ghost_path(seconds: int) -> tuple[np.ndarray, np.ndarray]:
 # -- bounds for other sites -------------------------------------------------------------------------------------------
 
 
+@cache
 def straight_path() -> np.ndarray:
     """True states [k + 1, 6] of the paper's target without random accelerations."""
     t = np.arange(STEPS + 1.0)[:, None]
@@ -176,6 +179,7 @@ PAIRS = np.array([[i in pair for i in range(6)] for pair in itertools.combinatio
 """All choices of two of six [15, 6]."""
 
 
+@cache
 def triples() -> np.ndarray:
     """Mean horizontal bounds [20] m of all choices of three of the six; the last is the triangle."""
     chosen = itertools.combinations(range(6), 3)
@@ -204,6 +208,7 @@ def best_pair(k: int, cov: np.ndarray) -> np.ndarray:
     return PAIRS[position_std(after).horizontal.argmin()]
 
 
+@cache
 def pair_choices() -> dict[str, float]:
     """Mean horizontal bounds [m] of two of six per scan."""
     triangle = PAIRS[~PAIRS[:, :3].any(-1)]

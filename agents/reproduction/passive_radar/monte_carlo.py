@@ -105,8 +105,10 @@ class Flights(NamedTuple):
 
 def raised(sites: Sites, d: int) -> Sites:
     """The sites with d coordinates, those missing 0."""
-    missing = d - len(sites.receiver)
-    return Sites(np.pad(sites.receiver, (0, missing)), np.pad(sites.transmitters, ((0, 0), (0, missing))))
+    receiver, transmitters = np.zeros(d), np.zeros((len(sites.transmitters), d))
+    receiver[: len(sites.receiver)] = sites.receiver
+    transmitters[:, : len(sites.receiver)] = sites.transmitters
+    return Sites(receiver, transmitters)
 
 
 def fly(
