@@ -28,6 +28,7 @@ VARIANTS = (
     {"detection_probability": 0.7, "false_bearings_mean": 2.0},
     {"actions": "discrete"},
     {"actions": "headings"},
+    {"actions": "velocities"},
     {"standoff_m": 5000.0},
     {"targets": 1},
     {"targets": 6},
