@@ -17,6 +17,9 @@ from passive_env.belief import Belief
 from passive_env.steering import course, left_to_turn, line_of_sight, outward
 from trackers.angles import wrap
 
+GUIDED = ("headings", "velocities")
+"""Kinds of actions that become plain commands only by what is known at the time; `Continuous` has their space."""
+
 HARD_TURN_DEG = 60.0
 """A platform that turns as hard as it can is taken to head for this much off its course, or for as much as a step turns
 it if that is more: whoever learns from such an action may then err without turning the other way."""
