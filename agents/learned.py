@@ -127,7 +127,7 @@ def observation_digest(simulation: Simulation) -> str:
 
 
 def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
-    """The parts by which a model's actions are read: whatever they mean, they become commands of the continuous kind."""
+    """The parts by which a model's actions are read; guided ones become commands of the continuous kind."""
     trained = config.get("actions", "continuous")
     if trained not in GUIDED or simulation.scenario.actions != "continuous":
         return simulation
