@@ -63,8 +63,8 @@ class MobileObservation:
     def __call__(self, belief: MobileBelief) -> Any:
         """Observation [e, d] float32 inside the space."""
         seen = _observe(
-            belief.mean[:, 0], belief.cov[:, 0], belief.platforms, belief.measured, belief.installed,
-            belief.task.entry_distance_m, self._like,
+            belief.mean[:, 0], belief.cov[:, 0], course_of(belief), belief.platforms, belief.measured,
+            belief.installed, belief.task.entry_distance_m, self._like,
         )  # fmt: skip
         numbers = np.hstack([(belief.steps_left / self._steps)[:, None], task_numbers(belief.task), seen])
         return np.clip(numbers, -LIMIT, LIMIT).astype(np.float32)
@@ -74,16 +74,13 @@ class MobileObservation:
         return self._mirror_sign * observation
 
 
-@helper
-def _course(x):
-    """Unit vector of a track's course; towards the site if it has none."""
-    speed = math.hypot(x[3], x[4])
-    a, b = x[3], x[4]
-    if not speed >= SLOWEST_M_S:  # NaN too
-        a, b, speed = -x[0], -x[1], math.hypot(x[0], x[1])
-    if not speed >= 1.0:
-        return -1.0, 0.0
-    return a / speed, b / speed
+def course_of(belief: MobileBelief) -> np.ndarray:
+    """Unit vectors [e, 2] of the tracks' courses, which actions and observations are told by."""
+    x = belief.mean[:, 0]
+    speed, far = np.hypot(x[:, 3], x[:, 4]), np.hypot(x[:, 0], x[:, 1])
+    flies, away = speed >= SLOWEST_M_S, far >= 1.0
+    to_site = np.where(away[:, None], -x[:, :2] / np.maximum(far, 1.0)[:, None], [-1.0, 0.0])
+    return np.where(flies[:, None], x[:, 3:5] / np.maximum(speed, 1.0)[:, None], to_site)
 
 
 @helper
@@ -112,9 +109,9 @@ def _write_spreads(P, c, s, axes, frame, out, i):
     return i
 
 
-@kernel("(x6),(x6,x6),(n,x6),(n),(),(),(d)->(d)", "FFFBbfFF")
-def _observe(x, P, platforms, measured, installed, entry_distance, like, out):
-    c, s = _course(x)
+@kernel("(x6),(x6,x6),(p),(n,x6),(n),(),(),(d)->(d)", "FFFFBbfFF")
+def _observe(x, P, course, platforms, measured, installed, entry_distance, like, out):
+    c, s = course[0], course[1]
     out[:] = 0.0
     out[0], out[1], out[2] = (entry_distance - x[0]) / 1e5, -x[1] / 1e5, x[2] / 1e4
     out[3], out[4], out[5], out[6] = -c, -s, math.hypot(x[3], x[4]) / 300.0, x[5] / 50.0

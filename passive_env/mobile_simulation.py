@@ -9,7 +9,7 @@ import numpy as np
 
 from passive_env.core import Simulation, World
 from passive_env.placement import Task, positions
-from trackers.compiled import kernel
+from trackers.compiled import helper, kernel
 
 
 class MobileBelief(NamedTuple):
@@ -61,6 +61,14 @@ def wanted(command: Any, task: Task) -> np.ndarray:
     return positions(command.reshape(*command.shape[:-1], -1, 3), task)
 
 
+@helper
+def _drive_one(place, goal, speed, climb, T):
+    """What a carrier at a place [3] flies towards its goal [3] in T seconds, level straight: dx, dy, dz [m]."""
+    dx, dy = goal[0] - place[0], goal[1] - place[1]
+    share = min(1.0, speed * T / max(math.hypot(dx, dy), 1e-9))
+    return share * dx, share * dy, min(max(goal[2] - place[2], -climb * T), climb * T)
+
+
 @kernel("(n,x6),(n,p3),(),(),(),()->(n,x6)", "FFbfffF")
 def drive(platforms, goals, install, speed, climb, T, moved):
     """Carriers [n, 6] after T seconds on the straight way to their goals [n, 3], or set down there.
@@ -68,15 +76,26 @@ def drive(platforms, goals, install, speed, climb, T, moved):
     speed: level [m/s]; climb: up or down [m/s].
     """
     for s in range(platforms.shape[0]):
-        dx, dy, dz = (
-            goals[s, 0] - platforms[s, 0], goals[s, 1] - platforms[s, 1], goals[s, 2] - platforms[s, 2]
-        )  # fmt: skip
         if install:
             for i in range(3):
                 moved[s, i], moved[s, 3 + i] = goals[s, i], 0.0
         else:
-            share = min(1.0, speed * T / max(math.hypot(dx, dy), 1e-9))
-            rise = min(max(dz, -climb * T), climb * T)
-            moved[s, 0], moved[s, 1] = platforms[s, 0] + share * dx, platforms[s, 1] + share * dy
-            moved[s, 2] = max(platforms[s, 2] + rise, 0.0)
-            moved[s, 3], moved[s, 4], moved[s, 5] = share * dx / T, share * dy / T, rise / T
+            step = _drive_one(platforms[s], goals[s], speed, climb, T)
+            for i in range(3):
+                moved[s, i], moved[s, 3 + i] = platforms[s, i] + step[i], step[i] / T
+
+
+@kernel("(n,x6),(n,p3),(),(),(),(),(k)->(k,n,p3)", "FFbfffFF")
+def routes(platforms, goals, install, speed, climb, T, like, places):
+    """Places [k, n, 3] of carriers at the next k scans, as `drive` moves them; `like` [k] says how many."""
+    for s in range(platforms.shape[0]):
+        for t in range(like.shape[0]):
+            for i in range(3):
+                places[t, s, i] = platforms[s, i] if t == 0 else places[t - 1, s, i]
+            if install:
+                for i in range(3):
+                    places[t, s, i] = goals[s, i]
+            else:
+                step = _drive_one(places[t, s], goals[s], speed, climb, T)
+                for i in range(3):
+                    places[t, s, i] += step[i]

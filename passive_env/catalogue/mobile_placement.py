@@ -20,7 +20,10 @@ from passive_env.placement import Task
 from passive_env.placement_simulation import PlacementTape
 from passive_env.scenario import choice, integer, number
 from passive_env.tape import draw
+from passive_env.velocities import Velocities
 from trackers.scan_fusion import MODES, ScanFusion
+
+ACTIONS = ("continuous", "velocities", "discrete")
 
 CLEAR_STD = 10.0
 """The minimum range is this many standard deviations of range or more, so that no measured range is negative."""
@@ -37,6 +40,7 @@ class MobilePlacement(EntryScenario):
     that is closer than ``minimum_range_m``.
 
     Action: per sensor azimuth, distance and height of the place it should go to, as in RadarPlacement: all at once.
+        With actions "velocities", where to go from where it is (`passive_env.velocities.Velocities`).
     Observation: `passive_env.mobile_observation.MobileObservation`.
     Reward: the default is −log(position error / 1 km) in every step.
     info: besides what every environment shows ``position_crlb_m``, [1].
@@ -63,7 +67,7 @@ class MobilePlacement(EntryScenario):
     height_limit_max_m: float = number(15e3, 0.0, 1e5, "largest")
     lost_error_m: float = number(5e3, 1.0, 1e6, "a track is lost if farther off than this …")
     lost_nees: float = number(27.9, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 6 degrees)")
-    actions: str = choice("continuous", ("continuous", "discrete"), f"Box, or {LEVELS} choices per number")
+    actions: str = choice("continuous", ACTIONS, f"Box of places, of velocities, or {LEVELS} choices per number")
     reward_log_position_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_log_position_bound: float = number(0.0, 0.0, 1e6, "weight")
     reward_position_gain: float = number(0.0, 0.0, 1e6, "weight")
@@ -125,6 +129,8 @@ class MobilePlacement(EntryScenario):
 
     def make_actions(self) -> Continuous | Discrete:
         """Action codec: azimuth, distance, height of every sensor's next place."""
+        if self.actions == "velocities":
+            return Velocities(self.sensors, self.speed_m_s, self.climb_m_s, self.step_s)
         odd = (True, False, False) * self.sensors
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), LEVELS, odd)
 
