@@ -7,6 +7,7 @@ that stand for all (`passive_env.placement.representative_courses`).
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -144,8 +145,8 @@ def rows_of(task: Task, rows: slice) -> Task:
     return Task(*(part[rows] for part in task))
 
 
-class BestRule:
-    """Keeps to the rule whose layout promises least.
+class Planned(ABC):
+    """Plans a layout of all sensors at an episode's first decision and keeps to it.
 
     Args:
         scenario: what to act in.
@@ -153,15 +154,31 @@ class BestRule:
 
     def __init__(self, scenario: Any):
         self._promise, self._sensors = Promise(scenario), scenario.steps
+        self._plan: np.ndarray | None = None
+
+    @abstractmethod
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of whole layouts."""
 
     def reset(self, belief: PlacementBelief) -> None:
-        """Nothing to remember."""
+        """Forget the plan."""
+        self._plan = None
 
     def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, 3] for the next sensor."""
-        layouts = np.stack([layout_commands(rule, belief.task, self._sensors) for rule in RULES], axis=1)
-        rows, best = np.arange(len(layouts)), self._promise(belief.task, layouts).argmin(axis=1)
-        return layouts[rows, best, next_sensor(belief)]
+        """The plan's next commands [e, 3]."""
+        turn = next_sensor(belief)
+        if self._plan is None:
+            self._plan = self.plan(belief.task)
+        return self._plan[np.arange(len(turn)), turn]
+
+
+class BestRule(Planned):
+    """Keeps to the rule whose layout promises least."""
+
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of the best of `RULES`."""
+        layouts = np.stack([layout_commands(rule, task, self._sensors) for rule in RULES], axis=1)
+        return layouts[np.arange(len(layouts)), self._promise(task, layouts).argmin(axis=1)]
 
 
 # -- searches ----------------------------------------------------------------------------------------------------------
@@ -209,11 +226,11 @@ def commands_of(position: np.ndarray, task: Task) -> np.ndarray:
     return np.stack([commands(*place, task) for place in seen], axis=1) if seen else np.empty((len(position), 0, 3))
 
 
-class Search:
+class Search(Planned):
     """Looks for the best layout of all sensors at once with `scipy.optimize`: what the others are measured by.
 
-    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best. It plans all
-    sensors at the first decision and keeps to the plan; episode after episode, a good part of a second each.
+    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best; episode after
+    episode, a good part of a second each.
 
     Args:
         scenario: what to act in.
@@ -223,20 +240,12 @@ class Search:
     GENERATIONS, PER_NUMBER, STEP = 40, 8, 1e-4
 
     def __init__(self, scenario: Any, seed: int = 0):
-        self._promise, self._sensors, self._seed = Promise(scenario), scenario.steps, seed
-        self._plan: np.ndarray | None = None
+        super().__init__(scenario)
+        self._seed = seed
 
-    def reset(self, belief: PlacementBelief) -> None:
-        """Forget the plan."""
-        self._plan = None
-
-    def act(self, belief: PlacementBelief, observation: np.ndarray) -> np.ndarray:
-        """The plan's next commands [e, 3]."""
-        turn = next_sensor(belief)
-        if self._plan is None:
-            tasks = [rows_of(belief.task, slice(i, i + 1)) for i in range(len(turn))]
-            self._plan = np.stack([self.search(task) for task in tasks])
-        return self._plan[np.arange(len(turn)), turn]
+    def plan(self, task: Task) -> np.ndarray:
+        """Commands [e, n, 3] of the best layouts found."""
+        return np.stack([self.search(rows_of(task, slice(i, i + 1))) for i in range(len(task.std))])
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""

@@ -14,6 +14,7 @@ import numpy as np
 from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
+from passive_env.catalogue.mobile_placement import MobilePlacement
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
@@ -65,6 +66,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     """Makers (scenario, seed) of the policies for a scenario's family."""
     from agents.fixed import FIXED, PAPER, PAPER_IN_SPACE, STEADY
     from agents.greedy import FIX_GREEDY, GREEDY, GREEDY_IN_SPACE
+    from agents.mobile_placement import MOBILE
     from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
@@ -76,6 +78,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         BearingScenario: {**STEADY, **searching},
         ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
         RadarPlacement: {**PLACEMENT, "random": STEADY["random"]},
+        MobilePlacement: {**MOBILE, "random": STEADY["random"]},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -8,11 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agents import pictures
 from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
+from agents.pictures import EpisodePaths
 from agents.placement_pictures import placement_maps
+from passive_env.catalogue.mobile_placement import MobilePlacement
 from passive_env.catalogue.placement import RadarPlacement
 
 METRICS = {"final": "final", "mean": "time average"}
@@ -51,10 +55,18 @@ def _of_geometry(title: str, records: Mapping[str, Record], scenario: Any, times
     paths: dict[str, Any] = {name: record.paths for name, record in records.items()}
     if isinstance(scenario, RadarPlacement):
         return [("placement.png", placement_maps(paths, scenario, f"{title}: the first one"))]
+    if isinstance(scenario, MobilePlacement):
+        installed = {name: _installed(path) for name, path in paths.items()}
+        return [("geometry.png", pictures.geometry(times, installed, f"{title}: the first one"))]
     geometry = pictures.geometry(times, paths, f"{title}: the first one")
     flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
     platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [("geometry.png", geometry), ("maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs"))]
+
+
+def _installed(paths: EpisodePaths) -> EpisodePaths:
+    """Paths of sensors that stand, at first, where they are installed in the first step."""
+    return paths._replace(stations=np.concatenate([paths.stations[1:2], paths.stations[1:]]))
 
 
 def as_csv(summary: Mapping[str, Any]) -> str:

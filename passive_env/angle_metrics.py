@@ -45,8 +45,9 @@ def _distance(a, b):
 
 
 @kernel("(m,x6),(m,x6,x6),(m,x6),(m,x6,x6),(s,x6),(),()->(m),(m),(m),(m),(m),(m),(m)", "FFFFFffFFFFFBF")
-def _measure(mean, cov, truth, bound, platforms, lost_error, lost_nees,
-             range_error, position_error, true_range, range_crlb, nees, lost, position_crlb):  # fmt: skip
+def measure_in_space(mean, cov, truth, bound, platforms, lost_error, lost_nees,
+                     range_error, position_error, true_range, range_crlb, nees, lost, position_crlb):  # fmt: skip
+    """Figures of merit of m tracks, in the order of `AngleMetrics`, given the bound's covariance."""
     error, factor, u = np.empty(6), np.empty((6, 6)), np.empty(3)
     for m in range(mean.shape[0]):
         true_range[m] = _distance(truth[m], platforms[0])
@@ -114,5 +115,5 @@ class AngleFigures:
     def _measure(self, estimate, truth, bound, platforms) -> AngleMetrics:
         s = self._scenario
         return AngleMetrics(
-            *_measure(estimate.mean, estimate.cov, truth, bound, platforms, s.lost_error_m, s.lost_nees)
+            *measure_in_space(estimate.mean, estimate.cov, truth, bound, platforms, s.lost_error_m, s.lost_nees)
         )

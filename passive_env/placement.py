@@ -145,6 +145,31 @@ def representative_courses(task: Task, scans: int, step_s: float):
     return straight(start, scans, step_s)
 
 
+def entry_prior(task: Task) -> Gaussian:
+    """Mean [e, 6] and covariance [e, 6, 6] of the state in which a target enters: moments of what is drawn.
+
+    With b the bearing from the site, o the course off the direction to the site and V the speed, all uniform,
+    E cos b = sin(β)/β of the half width β, E cos² b = (1 + E cos 2b)/2 and so on; x = D cos b, ẋ = −V cos(b + o).
+    """
+    s, h, D = task.sector_rad, task.heading_rad, task.entry_distance_m
+    c, c2, d, d2 = (np.sinc(k * width / math.pi) for width in (s, h) for k in (1, 2))
+    speed, altitude = task.speed_m_s.mean(-1), task.altitude_m.mean(-1)
+    variance = np.diff(task.speed_m_s, axis=-1)[:, 0] ** 2 / 12.0
+    cosine, sine = 0.5 * (1.0 + c2) - c**2, 0.5 * (1.0 - c2)  # variances of those of b
+    squared = speed**2 + variance
+    zero = np.zeros(len(s))
+    mean = np.stack([D * c, zero, altitude, -speed * c * d, zero, zero], axis=-1)
+    cov = np.tile(np.diag([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2]), (len(s), 1, 1))  # a metre, a decimetre a second
+    cov[:, 0, 0] += D**2 * cosine
+    cov[:, 1, 1] += D**2 * sine
+    cov[:, 2, 2] += np.diff(task.altitude_m, axis=-1)[:, 0] ** 2 / 12.0
+    cov[:, 3, 3] += 0.5 * squared * (1.0 + c2 * d2) - (speed * c * d) ** 2
+    cov[:, 4, 4] += 0.5 * squared * (1.0 - c2 * d2)
+    for i, spread in ((0, cosine), (1, sine)):
+        cov[:, i, 3 + i] = cov[:, 3 + i, i] = -D * speed * d * spread
+    return Gaussian(mean, cov)
+
+
 def course_prior(task: Task, scans: int, step_s: float, acceleration_std: float) -> Gaussian:
     """Mean [e, 6] and covariance [e, 6, 6] of the state at the last scan, to first order, before any measurement.
 

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from passive_env.observations import LIMIT, Field
-from passive_env.placement import PlacementBelief, seen_from_entry
+from passive_env.placement import PlacementBelief, Task, seen_from_entry
 
 
 class PlacementObservation:
@@ -48,14 +48,7 @@ class PlacementObservation:
     def __call__(self, belief: PlacementBelief) -> Any:
         """Observation [e, d] float32 inside the space."""
         task = belief.task
-        known = np.stack(
-            [
-                belief.steps_left / self._sensors, task.sector_rad / 0.2, task.heading_rad / 0.5,
-                *(task.altitude_m.T / 1e4), *(task.speed_m_s.T / 300.0), np.log(task.std[:, 0] / 50.0),
-                *np.log(task.std[:, 1:].T / math.radians(1.0)), task.azimuth_limit_rad / math.pi,
-                *((task.distance_m.T - 2e5) / 5e4), task.height_limit_m / 1e4,
-            ], axis=-1,
-        )  # fmt: skip
+        known = np.hstack([(belief.steps_left / self._sensors)[:, None], task_numbers(task)])
         azimuth, distance, height = seen_from_entry(belief.platforms[..., :3], task.entry_distance_m[:, None])
         sensors = np.stack([np.cos(azimuth), np.sin(azimuth), (distance - 2e5) / 5e4, height / 1e4], axis=-1)
         placed = np.arange(self._sensors) < self._sensors - belief.steps_left[:, None]
@@ -67,8 +60,19 @@ class PlacementObservation:
         return self._mirror_sign * observation
 
 
-def _fields(sensors: int):
-    yield Field("time_left", "1", "share of the sensors that are still to be placed")
+def task_numbers(task: Task) -> np.ndarray:
+    """What is known of an episode, [e, 13] in the order of `task_fields`."""
+    return np.stack(
+        [
+            task.sector_rad / 0.2, task.heading_rad / 0.5, *(task.altitude_m.T / 1e4), *(task.speed_m_s.T / 300.0),
+            np.log(task.std[:, 0] / 50.0), *np.log(task.std[:, 1:].T / math.radians(1.0)),
+            task.azimuth_limit_rad / math.pi, *((task.distance_m.T - 2e5) / 5e4), task.height_limit_m / 1e4,
+        ], axis=-1,
+    )  # fmt: skip
+
+
+def task_fields():
+    """What is the same throughout an episode."""
     yield Field("task.sector", "rad", "half width of the sector of entry / 0.2")
     yield Field("task.heading", "rad", "half width of the course off the direction to the site / 0.5")
     for end, words in (("low", "lowest"), ("high", "highest")):
@@ -82,6 +86,11 @@ def _fields(sensors: int):
     for end in ("nearest", "farthest"):
         yield Field(f"task.{end}", "m", f"({end} allowed distance − 200 km) / 50 km")
     yield Field("task.height_limit", "m", "largest height of a sensor / 10 km")
+
+
+def _fields(sensors: int):
+    yield Field("time_left", "1", "share of the sensors that are still to be placed")
+    yield from task_fields()
     for i in range(sensors):
         yield Field(f"sensor{i}.azimuth_cos", "1", "of its azimuth at the expected entry; 0 until placed")
         yield Field(f"sensor{i}.azimuth_sin", "1", "of its azimuth at the expected entry; 0 until placed", odd=True)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.core import Simulation, map_rows
+from passive_env.core import map_rows
 
 SHIFT = np.array([23e3, -17e3, 40.0, -70.0])
 """Truth of the second twin minus truth of the first [m, m/s]."""
@@ -23,7 +23,7 @@ class Flown(NamedTuple):
 
 def fly(scenario: Any, decide: Callable[[Any, Any], Any], seeds: range) -> Flown:
     """Fly whole episodes; `decide` maps belief and observation to commands [e, a]."""
-    simulation = Simulation(scenario)
+    simulation = scenario.make_simulation()
     world = simulation.begin([np.random.default_rng(seed) for seed in seeds])
     flown = Flown([], [], [], [world.truth], [])
     for _ in range(scenario.steps):

@@ -58,7 +58,7 @@ def _fuse_positions(p, at, averaged, z, sensors, std, u, ranging, total, g, cov,
 
 
 @helper
-def _start(
+def start_scan(
     x, P, lx, lP, second, z, sensors, std, u, ranging, truth, mode, T, q, rho, V, x_out, P_out, lx_out, lP_out, W, v
 ):  # fmt: skip
     """The fused track and the sensors' own from the first scan, or from the first two."""
@@ -91,7 +91,7 @@ def _start(
 
 
 @helper
-def _update(x, P, lx, lP, z, sensors, std, u, ranging, truth, mode, x_out, P_out, lx_out, lP_out, W, v):
+def update_scan(x, P, lx, lP, z, sensors, std, u, ranging, truth, mode, x_out, P_out, lx_out, lP_out, W, v):
     """One scan on predicted tracks; returns the squared residuals' sum, its explained part, and log √det S."""
     at, g, line, own = v[0], v[1], v[2], v[3]
     total, R, info, H, own_total = W[0], W[1], W[2], W[3], W[4]
@@ -125,6 +125,18 @@ def _update(x, P, lx, lP, z, sensors, std, u, ranging, truth, mode, x_out, P_out
         for i in range(3):
             at[i] = x_out[i]
     return squared, gain, log_det + spread
+
+
+@helper
+def innovate(x, z, sensor, ranging, known, H, nu):
+    """Measured less predicted range [m], azimuth and elevation [rad] into nu [3]; 0 unless x is known."""
+    azimuth, elevation = linearize_direction(x, sensor, H)
+    nu[0] = nu[1] = nu[2] = 0.0
+    if ranging and known:
+        dx, dy, dz = x[0] - sensor[0], x[1] - sensor[1], x[2] - sensor[2]
+        nu[0] = z[0] - math.sqrt(dx * dx + dy * dy + dz * dz)
+    if known:
+        nu[1], nu[2] = wrap_scalar(z[1] - azimuth), z[2] - elevation
 
 
 @helper
@@ -162,7 +174,7 @@ def track_episode(path, sensors, std, ranging, noise, mode, T, q, rho, V, mean, 
             z[s, 1] = math.atan2(dy, dx) + std[s, 1] * noise[t, s, 1]
             z[s, 2] = math.atan2(dz, math.sqrt(level2)) + std[s, 2] * noise[t, s, 2]
         if t == 0 or (t == 1 and two_point):
-            _start(x, P, lx, lP, t == 1, z, sensors[t], std, u, ranging, path[t], mode, T, q, rho, V,
+            start_scan(x, P, lx, lP, t == 1, z, sensors[t], std, u, ranging, path[t], mode, T, q, rho, V,
                    mean[t], cov[t], lx, lP, W, v)  # fmt: skip
         else:
             predict_6_in_place(x, P, T, q)
@@ -170,7 +182,7 @@ def track_episode(path, sensors, std, ranging, noise, mode, T, q, rho, V, mean, 
                 for s in range(n):
                     if ranging[s]:
                         predict_6_in_place(lx[s], lP[s], T, q)
-            _update(x, P, lx, lP, z, sensors[t], std, u, ranging, path[t], mode, mean[t], cov[t], lx, lP, W, v)
+            update_scan(x, P, lx, lP, z, sensors[t], std, u, ranging, path[t], mode, mean[t], cov[t], lx, lP, W, v)
         for i in range(6):
             x[i] = mean[t, i]
             for j in range(6):
@@ -248,20 +260,14 @@ def condition_tracks(
     nis[0] = log_likelihood[0] = 0.0
     degrees = 0
     for s in range(n):
-        azimuth, elevation = linearize_direction(x, sensors[s], H)
-        nu[s, 0] = 0.0
-        if ranging[s] and scans > 0:
-            dx, dy, dz = x[0] - sensors[s, 0], x[1] - sensors[s, 1], x[2] - sensors[s, 2]
-            nu[s, 0] = z[s, 0] - math.sqrt(dx * dx + dy * dy + dz * dz)
-        nu[s, 1] = wrap_scalar(z[s, 1] - azimuth) if scans > 0 else 0.0
-        nu[s, 2] = z[s, 2] - elevation if scans > 0 else 0.0
+        innovate(x, z[s], sensors[s], ranging[s], scans > 0, H, nu[s])
         degrees += 3 if ranging[s] else 2
     if scans == 0 or (scans == 1 and any_ranging(ranging)):
-        _start(x, P, lx, lP, scans == 1, z, sensors, std, u, ranging, x, mode, T, q, rho, V,
+        start_scan(x, P, lx, lP, scans == 1, z, sensors, std, u, ranging, x, mode, T, q, rho, V,
                x_out, P_out, lx_out, lP_out, W, v)  # fmt: skip
     else:
         _copy_tracks(lx, lP, lx_out, lP_out)
-        squared, gain, log_root = _update(
+        squared, gain, log_root = update_scan(
             x, P, lx, lP, z, sensors, std, u, ranging, x, mode, x_out, P_out, lx_out, lP_out, W, v
         )
         nis[0] = squared - gain

@@ -16,6 +16,7 @@ from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
 SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT, MANEUVERS = "TwoStation", "Ownship", "AngleFusion", "ManeuveringTarget"
+PLACEMENT = "RadarPlacement"
 
 
 def measure_vector(effort: Effort) -> Section:
@@ -55,6 +56,16 @@ def measure_stations(effort: Effort) -> Section:
     wide = {"": _begun(effort, None, MANEUVERS), "_one_thread": _begun(effort, 1, MANEUVERS)}
     tasks = {f"maneuvers_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
     return Section(_rates(tasks, effort, wide[""].scenario.steps, {"maneuvers_random_actions": ">= 150000"}))
+
+
+def measure_placements(effort: Effort) -> Section:
+    """Whole episodes per second in which three sensors are placed and a track of 50 scans is run and scored."""
+    wide = {"": _begun(effort, None, PLACEMENT), "_one_thread": _begun(effort, 1, PLACEMENT)}
+    tasks = {f"placement_episodes{suffix}": _window(env, True) for suffix, env in wide.items()}
+    times = take_turns(tasks, effort.rounds)
+    rates = {name: effort.num_envs / float(np.median(taken)) for name, taken in times.items()}
+    goals = {"placement_episodes": ">= 5000"}
+    return Section([Result(name, rate, "episodes/s", goals.get(name)) for name, rate in rates.items()])
 
 
 def _rates(tasks: Mapping[str, Task], effort: Effort, steps: int, goals: Mapping[str, str]) -> list[Result]:
