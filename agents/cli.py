@@ -75,12 +75,12 @@ class Evaluate:
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
-    paper: Annotated[Literal["two-station", "angle-fusion", "imm-mie", "radar-placement"], tyro.conf.Positional] = (
-        "two-station"
-    )
+    paper: Annotated[
+        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar"], tyro.conf.Positional
+    ] = "two-station"
     """Which paper."""
     runs: int | None = None
-    """Monte-Carlo runs per seed; default 50 (two-station, imm-mie) or 500 (angle-fusion, radar-placement)."""
+    """Monte-Carlo runs per seed; default 500 (angle-fusion, radar-placement) or 50 (the others)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
@@ -147,6 +147,7 @@ def _reproduce(c: Reproduce) -> None:
         "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
         "imm-mie": (reproduction.reproduce_imm_mie, reproduction.print_imm_mie),
         "radar-placement": (reproduction.reproduce_radar_placement, reproduction.print_radar_placement),
+        "passive-radar": (reproduction.reproduce_passive_radar, reproduction.print_passive_radar),
     }
     reproduce, words = papers[c.paper]
     number = {} if c.runs is None else {"runs": c.runs}
@@ -163,7 +164,7 @@ def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
-    from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, TRACKERS
+    from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
     for title, names in (
         ("environments", environment_ids()),
@@ -171,6 +172,7 @@ def _list(c: List) -> None:
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),
+        ("trackers on range sums", list(RANGE_SUM_TRACKERS)),
         ("algorithms", list(ALGORITHMS)),
     ):
         print(f"{title}: {', '.join(names)}")

@@ -13,7 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.actor import plain_actor
 from agents.algorithms import find_algorithm
-from passive_env.actions import Headings
+from passive_env.actions import GUIDED
 from passive_env.belief import Belief
 from passive_env.core import Simulation
 
@@ -121,15 +121,17 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
 def observation_digest(simulation: Simulation) -> str:
     """Fingerprint of the observation's fields and of the actions: a model fits only where they are the same."""
     names = "|".join(f"{f.name},{f.unit},{f.scale}" for f in simulation.observation.fields)
-    meaning = "|headings" if isinstance(simulation.actions, Headings) else ""  # the space is that of rates
+    kind = simulation.scenario.actions
+    meaning = f"|{kind}" if kind in GUIDED else ""  # the space is that of plain commands
     return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
 
 
 def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
-    """The parts by which a model's actions are read: one that chooses headings can fly where rates are flown."""
-    if config.get("actions") != "headings" or simulation.scenario.actions != "continuous":
+    """The parts by which a model's actions are read; guided ones become commands of the continuous kind."""
+    trained = config.get("actions", "continuous")
+    if trained not in GUIDED or simulation.scenario.actions != "continuous":
         return simulation
-    return replace(simulation.scenario, actions="headings").make_simulation()
+    return replace(simulation.scenario, actions=trained).make_simulation()
 
 
 def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from agents.prediction import LARGEST, WORST, Prediction, Situation, intrusion, predict_numbers
 from passive_env.belief import Belief
-from passive_env.kinematics import turned_by
+from passive_env.kinematics import turned_at_most, turned_by
 from passive_env.steering import course, towards
 from trackers.angles import wrap, wrap_scalar
 from trackers.compiled import helper, kernel
@@ -54,14 +54,7 @@ def _drive(level, headings, speeds, within, ends, steps, T, limit, range_of_spee
         share = 0.5 * (min(max(speeds[leg], -1.0), 1.0) + 1.0) if abs(missing) <= within[leg] else 0.0
         speed = range_of_speed[0] + share * (range_of_speed[1] - range_of_speed[0])
         heading += turned
-        if abs(turned) <= 1e-9:
-            c, s, along, across = straight
-        elif abs(turned) < limit:
-            c, s, along, across = turned_by(turned, T)
-        else:
-            c, s, along, across = hardest
-            if turned < 0.0:
-                s, across = -s, -across
+        c, s, along, across = turned_at_most(turned, T, limit, straight, hardest)
         x, y = x + speed * (along * ux - across * uy), y + speed * (along * uy + across * ux)
         ux, uy = c * ux - s * uy, s * ux + c * uy
         flight[k, 0], flight[k, 1], flight[k, 2] = x, y, speed

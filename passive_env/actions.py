@@ -17,6 +17,9 @@ from passive_env.belief import Belief
 from passive_env.steering import course, left_to_turn, line_of_sight, outward
 from trackers.angles import wrap
 
+GUIDED = ("headings", "velocities")
+"""Kinds of actions that become plain commands only by what is known at the time; `Continuous` has their space."""
+
 HARD_TURN_DEG = 60.0
 """A platform that turns as hard as it can is taken to head for this much off its course, or for as much as a step turns
 it if that is more: whoever learns from such an action may then err without turning the other way."""
@@ -165,6 +168,57 @@ class Discrete:
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
         """Choices [..., a] that do in the mirrored world what these do here."""
         return np.where(self._odd, self.levels - 1 - actions, actions)
+
+
+class Combinations:
+    """A MultiDiscrete whose last number picks one of several combinations of n; before it, three choices per rate.
+
+    Commands are the rates, −1, 0 or 1, then n scores, 1 of what is in the combination and −1 of the others.
+
+    Args:
+        combinations: [c, k] what each holds, numbers below n.
+        n: how many there are to choose from.
+        rates: how many rates come first; left and right are theirs.
+    """
+
+    def __init__(self, combinations: np.ndarray, n: int, rates: int = 0):
+        self.size = rates + n
+        self._rates, self._k = rates, combinations.shape[1]
+        self._scores = np.full((len(combinations), n), -1.0)
+        np.put_along_axis(self._scores, combinations, 1.0, axis=1)
+        self._place = np.zeros(2**n, dtype=np.int64)
+        self._place[(1 << combinations).sum(1)] = np.arange(len(combinations))
+        self._choices = np.array([3] * rates + [len(combinations)])
+        self.space = spaces.MultiDiscrete(self._choices)
+
+    def decode(self, action: Any, batch: int | None) -> np.ndarray:
+        """Commands [e, a] of choices [q] or [batch, q].
+
+        Raises:
+            ValueError: wrong shape, or a choice that there is not.
+        """
+        shape = (len(self._choices),)
+        values = _numbers(action, shape if batch is None else (batch, *shape))
+        if ((values < 0) | (values >= self._choices) | (values != np.rint(values))).any():
+            highest = ", ".join(map(str, self._choices - 1))
+            raise ValueError(f"action {action!r}: choices must be integers from 0 to {highest}")
+        chosen = values.astype(np.int64)
+        return np.concatenate([values[:, : self._rates] - 1.0, self._scores[chosen[:, -1]]], axis=1)
+
+    def commands(self, values: np.ndarray, belief: Any) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a]: the same."""
+        return values
+
+    def encode(self, commands: np.ndarray, belief: Any = None) -> np.ndarray:
+        """The choices [e, q] nearest to commands [e, a]: of scores the highest, of equal ones the first."""
+        highest = np.argsort(-commands[:, self._rates :], axis=1, kind="stable")[:, : self._k]
+        place = self._place[(1 << highest).sum(1)]
+        rates = np.rint(np.clip(commands[:, : self._rates], -1.0, 1.0)).astype(np.int64) + 1
+        return np.concatenate([rates, place[:, None]], axis=1)
+
+    def mirrored(self, actions: np.ndarray) -> np.ndarray:
+        """Choices [..., q] that do in the mirrored world what these do here: rates the other way round."""
+        return np.concatenate([2 - actions[..., : self._rates], actions[..., self._rates :]], axis=-1)
 
 
 def _numbers(action: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -63,7 +63,7 @@ class Simulation:
         tape, sighting = self.sensors.acquire(self.scenario.draw_tape(generators))
         state = self.tracker.initiate(sighting.scan)
         estimate = self.tracker.estimate(state)
-        _check_estimate(estimate, sighting.truth.shape, self.tracker)
+        check_estimate(estimate, sighting.truth.shape, self.tracker)
         reports = self.sensors.acquired(sighting, state)
         bound, metrics = self.metrics.begin(estimate, sighting.truth, tape.platforms, tape, reports)
         batch = len(generators)
@@ -78,7 +78,7 @@ class Simulation:
         step = world.step + 1
         platforms = self.move(world, command)
         predicted = self.tracker.predict(world.track_state, self.scenario.step_s)
-        sighting = self.sensors.sense(world.tape, step, platforms, predicted)
+        sighting = self.sense(world, step, platforms, predicted, command)
         update = self.tracker.update(predicted, sighting.scan)
         estimate = self.tracker.estimate(update.posterior)
         _check_shapes(estimate, sighting.truth.shape, self.tracker)
@@ -95,6 +95,10 @@ class Simulation:
     def move(self, world: World, command: Any) -> Any:
         """Platforms [e, s, n] after one step."""
         return self.scenario.move(world.platforms, command)
+
+    def sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:
+        """The scan after a step, by platforms that have moved; a family's may depend on what was commanded."""
+        return self.sensors.sense(world.tape, step, platforms, predicted)
 
     def command(self, world: World, values: Any) -> Any:
         """Commands [e, a] of decoded actions [e, a], by what is known of a world."""
@@ -127,7 +131,7 @@ class Simulation:
         return {}
 
 
-def _check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:
+def check_estimate(estimate: Any, shape: tuple[int, ...], tracker: Any) -> None:
     """Refuse a user's tracker whose first estimate is none.
 
     Raises:

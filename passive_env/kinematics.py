@@ -104,12 +104,25 @@ def turned_by(turned, T):
 
 
 @helper
+def turned_at_most(turned, T, limit, straight, hardest):
+    """`turned_by` of a turn of at most `limit` rad either way, given those of none, `straight`, and of the limit.
+
+    Nearly all steps of a plan are straight or turn at the limit: those arcs are computed once.
+    """
+    if abs(turned) <= 1e-9:
+        return straight
+    if abs(turned) < limit:
+        return turned_by(turned, T)
+    c, s, along, across = hardest
+    return (c, s, along, across) if turned > 0.0 else (c, -s, along, -across)
+
+
+@helper
 def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
     """Places flight [k, 2] of a platform `level` [x, y, vx, vy] after each of k steps of T seconds.
 
     Leg g of the plan lasts until step ends[g], the last one to the end. Its control is a heading [rad] to turn to by
-    at most `limit` rad a step, or, with `turns`, a share of the limit to turn by. Nearly all steps are straight or
-    turn at the limit: those arcs are computed once.
+    at most `limit` rad a step, or, with `turns`, a share of the limit to turn by.
     """
     x, y, vx, vy = level[0], level[1], level[2], level[3]
     heading, leg = math.atan2(vy, vx), 0
@@ -120,14 +133,7 @@ def fly_legs(level, controls, ends, steps, T, limit, turns, flight):
         turned = controls[leg] * limit if turns else wrap_scalar(controls[leg] - heading)
         turned = min(max(turned, -limit), limit)
         heading += turned
-        if abs(turned) <= 1e-9:
-            c, s, along, across = straight
-        elif abs(turned) < limit:
-            c, s, along, across = turned_by(turned, T)
-        else:
-            c, s, along, across = hardest
-            if turned < 0.0:
-                s, across = -s, -across
+        c, s, along, across = turned_at_most(turned, T, limit, straight, hardest)
         x, y = x + along * vx - across * vy, y + along * vy + across * vx
         vx, vy = c * vx - s * vy, s * vx + c * vy
         flight[k, 0], flight[k, 1] = x, y

@@ -7,10 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.metrics import FARTHEST_M, MAX_NEES, PRIOR_VELOCITY_STD_M_S, Violations, at_most, violations
+from passive_env.metrics import (
+    FARTHEST_M,
+    PRIOR_VELOCITY_STD_M_S,
+    Violations,
+    at_most,
+    errors_in_plane,
+    violations,
+)
 from trackers.bounds import range_variance
 from trackers.compiled import kernel
-from trackers.linalg import cholesky_4, mahalanobis_4
 from trackers.measurement import condition_into, slope
 from trackers.motion import predict_in_place
 
@@ -73,14 +79,11 @@ def _measure(mean, cov, acceleration, fix, fixed, truth, true_acceleration, boun
             if math.hypot(platforms[s, 2], platforms[s, 3]) <= fastest:
                 a, b = slope(truth[m, 0], truth[m, 1], platforms[s, 0], platforms[s, 1])
                 condition_into(x, P, 0.0, a, b, var, x, P)
-        true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
-        range_error[m] = at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
-        position_error[m] = at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
         range_crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
         position_crlb[m] = math.sqrt(max(P[0, 0] + P[1, 1], 0.0))
-        for i in range(4):
-            x[i] = mean[m, i] - truth[m, i]
-        nees[m] = at_most(mahalanobis_4(cholesky_4(cov[m]), x), MAX_NEES)
+        range_error[m], position_error[m], nees[m], true_range[m] = errors_in_plane(
+            mean[m], cov[m], truth[m], sx, sy, x
+        )
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
         ax, ay = true_acceleration[m, 0], true_acceleration[m, 1]
         acceleration_error[m] = at_most(math.hypot(acceleration[m, 0] - ax, acceleration[m, 1] - ay), HARDEST_M_S2)

@@ -64,6 +64,17 @@ def at_most(value, limit):
     return value if value <= limit else limit
 
 
+@helper
+def errors_in_plane(mean, cov, truth, sx, sy, x):
+    """Range error, position error and NEES of a track, and the true range from sx, sy [m]; `x` [4] is scratch."""
+    true_range = math.hypot(truth[0] - sx, truth[1] - sy)
+    range_error = at_most(abs(math.hypot(mean[0] - sx, mean[1] - sy) - true_range), FARTHEST_M)
+    position_error = at_most(math.hypot(mean[0] - truth[0], mean[1] - truth[1]), FARTHEST_M)
+    for i in range(4):
+        x[i] = mean[i] - truth[i]
+    return range_error, position_error, at_most(mahalanobis_4(cholesky_4(cov), x), MAX_NEES), true_range
+
+
 @kernel(
     "(m,x),(m,x,x),(m,x),(m,x,x),(s,x),(),(),(),(),(),(),(x)->(m,x,x),(m),(m),(m),(m),(m),(m)",
     "FFFFFfffbffFFFFFFFB",
@@ -82,13 +93,10 @@ def _measure(mean, cov, truth, bound, platforms, T, q, std, all_stations, lost_e
         for s in range(0 if all_stations else n_stations - 1, n_stations):
             a, b = slope(truth[m, 0], truth[m, 1], platforms[s, 0], platforms[s, 1])
             condition_into(x, P, 0.0, a, b, std * std, x, P)
-        true_range[m] = math.hypot(truth[m, 0] - sx, truth[m, 1] - sy)
-        range_error[m] = at_most(abs(math.hypot(mean[m, 0] - sx, mean[m, 1] - sy) - true_range[m]), FARTHEST_M)
-        position_error[m] = at_most(math.hypot(mean[m, 0] - truth[m, 0], mean[m, 1] - truth[m, 1]), FARTHEST_M)
         crlb[m] = math.sqrt(range_variance(P, truth[m, 0], truth[m, 1], sx, sy))
-        for i in range(4):
-            x[i] = mean[m, i] - truth[m, i]
-        nees[m] = at_most(mahalanobis_4(cholesky_4(cov[m]), x), MAX_NEES)
+        range_error[m], position_error[m], nees[m], true_range[m] = errors_in_plane(
+            mean[m], cov[m], truth[m], sx, sy, x
+        )
         lost[m] = position_error[m] > lost_error and nees[m] > lost_nees
 
 

@@ -3,7 +3,7 @@
 A term maps a `Moment` to [e] numbers; larger is better. The scenario holds the weights; terms of weight 0 are not
 computed, and every weighted one appears in ``info["reward_terms"]``. `log_position_bound` and `position_gain` are for
 scenarios whose metrics have that bound, `turn_position_error` and `acceleration_error` for those with a maneuvering
-target.
+target, those of horizontal and height errors for a passive radar.
 """
 
 from __future__ import annotations
@@ -118,6 +118,26 @@ def log_position_bound(moment: Moment):
     return math.log(1e3) - _mean_log(moment.metrics.position_crlb_m, 1.0)
 
 
+def log_horizontal_error(moment: Moment):
+    """−log(horizontal error / 1 km), mean over targets, errors floored at 30 m [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.horizontal_error_m, ERROR_FLOOR_M)
+
+
+def horizontal_error(moment: Moment):
+    """−horizontal error, mean over targets, each at most 10 km [1 km]."""
+    return -_mean_cut(moment.metrics.horizontal_error_m, 1e3)
+
+
+def height_error(moment: Moment):
+    """−error of the height, mean over targets, each at most 10 km [1 km]."""
+    return -_mean_cut(moment.metrics.height_error_m, 1e3)
+
+
+def log_horizontal_bound(moment: Moment):
+    """−log(horizontal bound / 1 km), mean over targets: the geometry's quality without the draw's luck [nepers]."""
+    return math.log(1e3) - _mean_log(moment.metrics.horizontal_crlb_m, 1.0)
+
+
 def turn_position_error(moment: Moment):
     """`position_error` of targets that maneuver, 0 for the others, mean over targets [1 km]."""
     return -_mean_cut(np.where(moment.metrics.maneuvering, moment.metrics.position_error_m, 0.0), 1e3)
@@ -186,6 +206,10 @@ TERMS: dict[str, Callable[[Moment], Any]] = {
         log_position_bound,
         turn_position_error,
         acceleration_error,
+        log_horizontal_error,
+        horizontal_error,
+        height_error,
+        log_horizontal_bound,
     )
 }
 """All reward terms by name."""

@@ -104,6 +104,36 @@ class ManeuverTruthObservation:
         return self._mirror_sign * numbers
 
 
+class RadarTruthObservation:
+    """What `TruthObservation` shows of a passive radar's target, and which transmitters are blocked now.
+
+    Fields after those:
+
+        truth0.log_horizontal_bound          m     log(bound / 100 m) / 2
+        truth0.blockedN                      1     1 if transmitter N is
+
+    Args:
+        pool: number of transmitters.
+    """
+
+    def __init__(self, pool: int):
+        self._truth = TruthObservation(1)
+        bound = Field("truth0.log_horizontal_bound", "m", "log(Cramér–Rao bound / 100 m) / 2")
+        blocked = (Field(f"truth0.blocked{n}", "1", f"1 if transmitter {n} is blocked") for n in range(pool))
+        self.fields = (*self._truth.fields, bound, *blocked)
+
+    def __call__(self, world: World) -> np.ndarray:
+        """Numbers [e, d] float32 in ±`LIMIT`."""
+        bound = 0.5 * np.log(np.maximum(world.metrics.horizontal_crlb_m, 1.0) / 100.0)
+        numbers = np.clip(np.hstack([bound, world.reports.blocked]), -LIMIT, LIMIT)
+        return np.hstack([self._truth(world), numbers.astype(np.float32)])
+
+    def mirrored(self, numbers: np.ndarray) -> np.ndarray:
+        """Numbers [..., d] of the mirrored worlds: left is right, every transmitter keeps its number."""
+        shared = len(self._truth.fields)
+        return np.concatenate([self._truth.mirrored(numbers[..., :shared]), numbers[..., shared:]], axis=-1)
+
+
 def _maneuver_fields(name: str):
     for i, ahead in enumerate(AHEAD_S):
         yield Field(f"{name}.radial_acceleration{i}", "m/s²", f"/ 30 m/s², in {ahead:g} s")

@@ -9,6 +9,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import binom, chi2, kstest, norm, poisson
+from spoilt_trackers import SPOILT, spoilt_later
+from twin_worlds import (
+    SHIFT,
+    assert_blind_to_truth,
+    assert_twins_look_alike,
+    fly_twins,
+    random_decisions,
+    shift,
+)
 
 from agents.evaluation import fly as fly_policy
 from agents.policy import make_policy
@@ -21,13 +30,11 @@ from passive_env.flights import load_flights
 from passive_env.kinematics import turn_and_climb
 from passive_env.render import Frame
 from passive_env.render_angles import AngleScene, look_of
-from tests.twin_worlds import SHIFT, fly_twins, shift
 from trackers import ANGLE_TRACKERS, AngleEkf, AnglePdaf
 from trackers.angle_pdaf import MAX_RETURNS
 from trackers.angles import wrap
 from trackers.bounds_3d import bound_start, position_std_3d, posterior_bound_information_3d, range_std_3d
 from trackers.direction import direction, gate
-from trackers.gaussian import Gaussian
 
 IDS = ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow")
 ROUGH = {"clutter_mean": 4.0, "availability0_min": 0.5, "availability1_min": 0.5, "detection_probability": 0.9}
@@ -355,35 +362,12 @@ def test_a_users_tracker_is_taken_as_it_is():
     assert np.array_equal(worlds[-1].estimate.mean, named[-1].estimate.mean)
 
 
-class Later(AnglePdaf):
-    """A tracker whose estimates are sound for three calls only."""
-
-    def __init__(self, spoil):
-        super().__init__()
-        object.__setattr__(self, "spoil", spoil)
-        object.__setattr__(self, "asked", 0)
-
-    def estimate(self, state):
-        object.__setattr__(self, "asked", self.asked + 1)
-        return super().estimate(state) if self.asked <= 3 else self.spoil(*super().estimate(state))
-
-
-SPOILT = {
-    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
-    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
-    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
-    "one velocity": lambda mean, cov: Gaussian(mean + np.array([0.0, 0.0, 0.0, 0.0, np.nan, 0.0]), cov),
-    "negative": lambda mean, cov: Gaussian(mean, -cov),
-    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
-}
-
-
 @pytest.mark.parametrize("fields", [{"clutter_mean": 5.0}, {"clutter_density_per_deg2": 0.05}], ids=str)
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
 def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, fields):
     """Observation, reward, scan and all of info stay finite, with every reward term in use."""
     weights = {f.name: 1.0 for f in dataclasses.fields(AngleFusion) if f.name.startswith("reward_")}
-    tracker = Later(spoil)
+    tracker = spoilt_later(AnglePdaf, spoil)
     env = PassiveVectorEnv("AngleFusion", num_envs=3, threads=1, tracker=tracker, steps=8, **fields, **weights)
     env.reset(seed=0)
     with np.errstate(all="ignore"):
@@ -532,31 +516,19 @@ def test_figures_of_merit_and_reward_by_hand():
 # ------------------------------------------------------------------------------------------------ belief, observation
 
 
-def random_decisions():
-    rng = np.random.default_rng(3)
-    return lambda belief, observation: rng.uniform(-1.0, 1.0, belief.last_action.shape)
-
-
 @pytest.mark.parametrize("fields", [{}, ROUGH, {"clutter_density_per_deg2": 0.02}], ids=str)
 def test_observations_do_not_change_when_the_truth_behind_the_same_returns_does(monkeypatch, fields):
     scenario = make_scenario("AngleFusion", {"steps": 12, **fields})
-    first, second = fly_twins(monkeypatch, scenario, random_decisions, range(4))
+    first, second = fly_twins(monkeypatch, scenario, random_decisions(3), range(4))
     np.testing.assert_allclose(second.truth[9] - first.truth[9], np.broadcast_to(shift(6), (4, 1, 6)), atol=1e-6)
     assert len(SHIFT) == 4
-    assert not any(np.array_equal(a, b) for a, b in zip(first.rewards, second.rewards, strict=True))
-    for a, b in zip(first.observations, second.observations, strict=True):
-        assert np.array_equal(a, b)
-    for a, b in zip(first.beliefs, second.beliefs, strict=True):
-        map_rows(np.testing.assert_array_equal, a, b)
+    assert_twins_look_alike(first, second)
 
 
 def test_belief_and_observation_read_nothing_of_the_truth():
     simulation, worlds = flown(4, 3, **ROUGH)
     world = worlds[-1]
-    rubbish = map_rows(lambda a: np.full_like(a, 77), (world.tape, world.truth, world.bound, world.metrics))
-    perturbed = world._replace(tape=rubbish[0], truth=rubbish[1], bound=rubbish[2], metrics=rubbish[3])
-    assert np.array_equal(simulation.observe(perturbed), simulation.observe(world))
-    map_rows(np.testing.assert_array_equal, simulation.belief(perturbed), simulation.belief(world))
+    assert_blind_to_truth(simulation, world)
 
 
 def test_worlds_are_never_changed_in_place():

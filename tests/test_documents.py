@@ -27,7 +27,7 @@ FAMILIES = {
     "MobilePlacement": ROOT / "docs" / "mobile_placement.md",
 }
 """Environments and the documents that describe them."""
-TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement")]
+TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
 WITH_CODE = [ROOT / "README.md", *TRACKER_PAGES, *FAMILIES.values()]
 
 

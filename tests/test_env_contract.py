@@ -16,6 +16,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import passive_env
 from passive_env.catalogue import SCENARIOS, environment_ids, scenario_name
+from passive_env.catalogue.passive_radar import PassiveRadar
 
 VARIANTS = (
     {},
@@ -47,6 +48,10 @@ VARIANTS = (
     {"tracker": "mie"},
     {"angle_only": 1},
     {"tracker": "iterated"},
+    {"dimensions": 3},
+    {"dimensions": 3, "course": "flights", "receiver_speed_m_s": 60.0, "actions": "discrete"},
+    {"maneuvers": True, "tracker": "ekf_literal"},
+    {"sites": "paper_good", "retune_delay_s": 2.5},
     {"render_mode": "rgb_array"},
 )
 
@@ -98,14 +103,31 @@ INFO_OF_PLACEMENT = {"position_crlb_m": np.float64, "track_error_m": np.float64}
 """What those in which sensors are placed show besides."""
 INFO_OF_MOVING_SENSORS = {"position_crlb_m": np.float64}
 """The same where they go on moving."""
+INFO_OF_PASSIVE_RADAR = {
+    "position_crlb_m": np.float64,
+    "horizontal_error_m": np.float64,
+    "horizontal_crlb_m": np.float64,
+    "height_error_m": np.float64,
+    "height_crlb_m": np.float64,
+    "maneuver": np.bool_,
+}
+"""What a passive radar shows besides."""
+PARTS_OF_PASSIVE_RADAR = {
+    "chosen": np.bool_,
+    "answered": np.bool_,
+    "missed": np.bool_,
+    "blocked": np.bool_,
+    "blocked_probability": np.float64,
+}
+"""The same, of every transmitter."""
 PER_EPISODE = "task."
 """Observed numbers that are the same throughout an episode."""
 MIDDLE = (".azimuth_sin",)
 """Those that the middle one of discrete choices leaves as they were."""
-REPORTS = (".assigned", ".returns", ".missed", ".available", ".detected")
+REPORTS = (".assigned", ".returns", ".missed", ".available", ".detected", ".answered", ".maneuver")
 """Observed numbers that tell what the last scan brought."""
-FOUND = ("_acceleration", ".model_probability")
-"""Those that take a maneuver, and more scans than a few, or than stations that seldom stand bring."""
+FOUND = ("_acceleration", ".model_probability", ".log_statistic", ".chosen", ".recent_answer", ".recent_miss", ".wait")
+"""Those that take a maneuver or a choice, and more scans than a few, or than stations that seldom stand bring."""
 
 
 def make(env_id, variant):
@@ -131,7 +153,7 @@ def arrays_of(observation, info):
 def test_every_catalogue_scenario_is_registered_with_both_entry_points():
     known = ("TwoStation", "Ownship", "OwnshipManeuvering", "OwnshipMulti")
     known += ("AngleFusion", "AngleFusionClutter", "AngleFusionSlow", "ManeuveringTarget", "RadarPlacement")
-    known += ("MobilePlacement",)
+    known += ("MobilePlacement", "PassiveRadar", "PassiveRadarRetune", "MobileReceiver")
     assert {f"passive/{name}-v0" for name in known} <= set(environment_ids())
     for env_id in environment_ids():
         spec = gym.spec(env_id)
@@ -269,6 +291,7 @@ def test_every_observed_number_changes_during_an_episode(env_id, variant):
     }
     may = (*REPORTS, PER_EPISODE) + MIDDLE * (variant.get("actions") == "discrete")
     may += FOUND * ("steps" in variant or "carrier" in variant or variant.get("course") == "flights")
+    may += FOUND * (getattr(env.unwrapped.scenario, "retune_delay_s", 0.0) > 0.0)  # of choices that never last as long
     assert {name for name in constant if not any(part in name for part in may)} == set()
     if variant.get("detection_probability", 1.0) < 1.0:
         assert {
@@ -307,12 +330,14 @@ def test_info_has_the_designed_keys_shapes_and_types(env_id, variant):
     shown |= INFO_OF_MANEUVERS if "ManeuveringTarget" in env_id else {}
     shown |= INFO_OF_PLACEMENT if "RadarPlacement" in env_id else {}
     shown |= INFO_OF_MOVING_SENSORS if "MobilePlacement" in env_id else {}
-    parts = PARTS_OF_MANEUVERS if "fixed" in shown else {}
+    radar = isinstance(env.unwrapped.scenario, PassiveRadar)
+    shown |= INFO_OF_PASSIVE_RADAR if radar else {}
+    parts = PARTS_OF_PASSIVE_RADAR if radar else PARTS_OF_MANEUVERS if "fixed" in shown else {}
     for _, reward, truncated, info in episode(env):
         assert set(info) == {*shown, *parts, *VIOLATIONS, "reward_terms"}
         for name, dtype in parts.items():
-            assert info[name].shape[0] == targets, name
-            assert info[name].ndim == 2, name
+            assert info[name].shape[0] == (env.unwrapped.scenario.pool if radar else targets), name
+            assert info[name].ndim == (1 if radar else 2), name
             assert info[name].dtype == dtype, name
             assert np.all(np.isfinite(info[name])), name
         assert all(type(info[name]) is float and info[name] >= 0.0 for name in VIOLATIONS)

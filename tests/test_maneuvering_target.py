@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom, kstest, norm
+from spoilt_trackers import SPOILT, spoilt_later
+from twin_worlds import assert_blind_to_truth, assert_twins_look_alike, fly_twins, random_decisions
 
 from agents.evaluation import fly as fly_policy
 from agents.evaluation import summarize
@@ -21,11 +23,9 @@ from passive_env.flights import load_flights
 from passive_env.kinematics import STANDING_M_S, drive, random_maneuvers
 from passive_env.maneuver_metrics import PRIOR_POSITION_STD_M
 from passive_env.truth import AHEAD_S
-from tests.twin_worlds import fly_twins
 from trackers import MANEUVER_TRACKERS, Imm3, ImmMie
 from trackers.angles import wrap
 from trackers.bounds import fisher_information, posterior_bound_information, range_std
-from trackers.gaussian import Gaussian
 
 NAME = "ManeuveringTarget"
 STAND, GO = [0.0, 0.0, -1.0, -1.0], [0.0, 0.0, 1.0, 1.0]
@@ -394,37 +394,12 @@ def test_a_users_tracker_is_taken_as_it_is():
     assert worlds[-1].reports.model_probability.shape == (3, 1, 1)
 
 
-class Later(ImmMie):
-    """A tracker whose estimates are sound for three calls only."""
-
-    def __init__(self, spoil):
-        super().__init__()
-        object.__setattr__(self, "spoil", spoil)
-        object.__setattr__(self, "asked", 0)
-
-    def estimate(self, state):
-        object.__setattr__(self, "asked", self.asked + 1)
-        return super().estimate(state) if self.asked <= 3 else self.spoil(*super().estimate(state))
-
-    def acceleration(self, state):
-        return super().acceleration(state) if self.asked <= 3 else self.spoil(*super().acceleration(state))
-
-
-SPOILT = {
-    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
-    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
-    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
-    "negative": lambda mean, cov: Gaussian(mean, -cov),
-    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
-}
-
-
 @pytest.mark.parametrize("actions", ["continuous", "headings"])
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
 def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, actions):
     """Observation, truth of the critic, reward and all of info stay finite, with every reward term in use."""
     weights = {f.name: 1.0 for f in dataclasses.fields(ManeuveringTarget) if f.name.startswith("reward_")}
-    tracker = Later(spoil)
+    tracker = spoilt_later(ImmMie, spoil)
     env = PassiveVectorEnv(NAME, num_envs=3, threads=1, tracker=tracker, steps=8, actions=actions, **weights)
     truth = env.scenario.make_truth_observation()
     env.reset(seed=0)
@@ -583,32 +558,18 @@ def test_evaluations_of_targets_that_never_maneuver_have_no_such_column():
 # ------------------------------------------------------------------------------------------------ belief, observation
 
 
-def random_decisions():
-    rng = np.random.default_rng(3)
-    return lambda belief, observation: rng.uniform(-1.0, 1.0, belief.last_action.shape)
-
-
 @pytest.mark.parametrize("fields", [{}, ROUGH], ids=str)
 def test_observations_do_not_change_when_the_truth_behind_the_same_azimuths_does(monkeypatch, fields):
     scenario = make_scenario(NAME, {"steps": 12, **fields})
-    first, second = fly_twins(monkeypatch, scenario, random_decisions, range(4))
-    assert not any(np.array_equal(a, b) for a, b in zip(first.rewards, second.rewards, strict=True))
-    for a, b in zip(first.observations, second.observations, strict=True):
-        assert np.array_equal(a, b)
-    for a, b in zip(first.beliefs, second.beliefs, strict=True):
-        map_rows(np.testing.assert_array_equal, a, b)
+    first, second = fly_twins(monkeypatch, scenario, random_decisions(3), range(4))
+    assert_twins_look_alike(first, second)
 
 
 def test_belief_and_observation_read_nothing_of_the_truth():
     simulation, worlds = flown(4, 15)
     world = worlds[-1]
-    rubbish = map_rows(lambda a: np.full_like(a, 77), (world.tape, world.truth, world.bound, world.metrics))
     reports = world.reports._replace(true_acceleration=np.full_like(world.reports.true_acceleration, 77.0))
-    perturbed = world._replace(
-        tape=rubbish[0], truth=rubbish[1], bound=rubbish[2], metrics=rubbish[3], reports=reports
-    )  # fmt: skip
-    assert np.array_equal(simulation.observe(perturbed), simulation.observe(world))
-    map_rows(np.testing.assert_array_equal, simulation.belief(perturbed), simulation.belief(world))
+    assert_blind_to_truth(simulation, world, reports=reports)
 
 
 def test_worlds_are_never_changed_in_place():

@@ -34,6 +34,18 @@ def wrapped_deg(angle):
     return (np.asarray(angle) + 180.0) % 360.0 - 180.0
 
 
+def fly_within_the_action_space(name, scenario):
+    """Fly three whole episodes by a policy of this name."""
+    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
+    observation, _ = env.reset(seed=0)
+    policy = make_policy(name, scenario)
+    policy.reset(env.belief())
+    for _ in range(scenario.steps):
+        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
+        assert action in env.action_space
+        observation, *_ = env.step(action)
+
+
 def headings_flown(policy, scenario, seed=0, episodes=1):
     """Platform headings [k + 1, e, s] deg of whole episodes flown in the environment."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
@@ -473,15 +485,7 @@ def test_policies_obey_the_protocol(scenario, name):
     ids=str,
 )  # fmt: skip
 def test_every_policy_flies_every_kind_of_scenario(name, fields):
-    scenario = TwoStation(**{"steps": 8, **fields})
-    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
-    observation, _ = env.reset(seed=0)
-    policy = make_policy(name, scenario)
-    policy.reset(env.belief())
-    for _ in range(scenario.steps):
-        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
-        assert action in env.action_space
-        observation, *_ = env.step(action)
+    fly_within_the_action_space(name, TwoStation(**{"steps": 8, **fields}))
 
 
 @pytest.mark.parametrize(
@@ -494,15 +498,7 @@ def test_every_policy_flies_every_kind_of_scenario(name, fields):
 )  # fmt: skip
 @pytest.mark.parametrize("name", IN_SPACE)
 def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
-    scenario = AngleFusion(**{"steps": 5, **fields})
-    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
-    observation, _ = env.reset(seed=0)
-    policy = make_policy(name, scenario)
-    policy.reset(env.belief())
-    for _ in range(scenario.steps):
-        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
-        assert action in env.action_space
-        observation, *_ = env.step(action)
+    fly_within_the_action_space(name, AngleFusion(**{"steps": 5, **fields}))
 
 
 @pytest.mark.parametrize(
@@ -515,15 +511,7 @@ def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
 )  # fmt: skip
 @pytest.mark.parametrize("name", FIXING)
 def test_every_policy_of_stations_that_fix_flies_every_kind_of_scenario(name, fields):
-    scenario = ManeuveringTarget(**{"steps": 5, **fields})
-    env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
-    observation, _ = env.reset(seed=0)
-    policy = make_policy(name, scenario)
-    policy.reset(env.belief())
-    for _ in range(scenario.steps):
-        action = env.simulation.actions.encode(policy.act(env.belief(), observation))
-        assert action in env.action_space
-        observation, *_ = env.step(action)
+    fly_within_the_action_space(name, ManeuveringTarget(**{"steps": 5, **fields}))
 
 
 @pytest.mark.parametrize(

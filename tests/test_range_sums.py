@@ -442,6 +442,18 @@ def test_start_from_below_ground_ends_above():
     assert (found.mean[:, 2] > 5e3).all()
 
 
+def test_start_leaves_a_local_minimum():
+    """Guess on the ghost's side of two transmitters; a third one, which knows better, is heard as well."""
+    rng, times = np.random.default_rng(35), np.arange(10.0)
+    path = fly(rng, 20, 9, np.array([5e3, 5e3, 100.0, 200.0]))
+    scans = hear(rng, path, POOR[:, :2], np.zeros(2))
+    guess = Gaussian(np.array([-30e3, -40e3, 0.0, 0.0]), np.diag(np.square([30e3, 30e3, 200.0, 200.0])))
+    found = RangeSumEkf().initiate(scans, guess, times)
+    assert (np.linalg.norm(found.mean[:, :2] - path[:, -1, :2], axis=-1) < 2e3).all()
+    local, _ = start_by_scipy(RangeSumScan(*(part[0] for part in scans)), guess, times)
+    assert np.linalg.norm(local[:2] - path[0, 0, :2]) > 20e3
+
+
 def test_fixed_damping_step_is_equation_12():
     rng = np.random.default_rng(34)
     scan = RangeSumScan(*(part[0, 0] for part in hear(rng, fly(rng, 1, 0), POOR, POOR_RECEIVER)))

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import binom, chi2, poisson
-from twin_worlds import SHIFT, fly, fly_twins
+from spoilt_trackers import SPOILT, spoilt_later
+from twin_worlds import SHIFT, assert_blind_to_truth, assert_twins_look_alike, fly, fly_twins, random_decisions
 
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
@@ -48,14 +49,6 @@ def wrapped(angle):
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def random_decisions(seed=0):
-    def make():
-        rng = np.random.default_rng(seed)
-        return lambda belief, observation: rng.uniform(-1.0, 1.0, belief.last_action.shape)
-
-    return make
-
-
 def begin(episodes, **fields):
     """A scenario's simulation and the world of its first instant."""
     simulation = Simulation(TwoStation(**fields))
@@ -78,19 +71,12 @@ def begin(episodes, **fields):
 def test_observations_do_not_change_when_the_truth_behind_the_same_bearings_does(monkeypatch, fields):
     first, second = fly_twins(monkeypatch, TwoStation(**fields), random_decisions(), range(5))
     np.testing.assert_allclose(second.truth[20] - first.truth[20], np.broadcast_to(SHIFT, (5, 3, 4)), atol=1e-6)
-    assert not any(np.array_equal(a, b) for a, b in zip(first.rewards, second.rewards, strict=True))
-    for a, b in zip(first.observations, second.observations, strict=True):
-        assert np.array_equal(a, b)
-    for a, b in zip(first.beliefs, second.beliefs, strict=True):
-        map_rows(np.testing.assert_array_equal, a, b)
+    assert_twins_look_alike(first, second)
 
 
 def test_belief_and_observation_read_nothing_of_the_truth():
     simulation, world = begin(4)
-    rubbish = map_rows(lambda a: np.full_like(a, 77), (world.tape, world.truth, world.bound, world.metrics))
-    perturbed = world._replace(tape=rubbish[0], truth=rubbish[1], bound=rubbish[2], metrics=rubbish[3])
-    assert np.array_equal(simulation.observe(perturbed), simulation.observe(world))
-    map_rows(np.testing.assert_array_equal, simulation.belief(perturbed), simulation.belief(world))
+    assert_blind_to_truth(simulation, world)
 
 
 def test_nothing_depends_on_what_happens_later():
@@ -976,19 +962,6 @@ def test_a_trackers_first_estimate_is_checked(spoil, error, message):
         PassiveEnv(tracker=Spoiled()).reset(seed=0)
 
 
-class Later(PlainEkf):
-    """Gives sound estimates for three scans, then spoils them."""
-
-    def __init__(self, spoil):
-        super().__init__()
-        self._spoil, self.asked = spoil, 0
-
-    def estimate(self, state):
-        self.asked += 1
-        sound = super().estimate(state)
-        return sound if self.asked <= 3 else self._spoil(*sound)
-
-
 LATE_FAULTS = {
     "tuple": (lambda mean, cov: (mean, cov), TypeError, r"Later: estimate\(\) gave tuple"),
     "a track too few": (lambda mean, cov: Gaussian(mean[:, :1], cov[:, :1]), ValueError, r"must be \(\(2, 3, 4\)"),
@@ -1001,7 +974,7 @@ LATE_FAULTS = {
 @pytest.mark.parametrize(("spoil", "error", "message"), LATE_FAULTS.values(), ids=LATE_FAULTS)
 def test_a_trackers_later_estimates_keep_their_shape(spoil, error, message):
     """An estimate for one environment would broadcast to all without a word."""
-    env = PassiveVectorEnv(num_envs=2, threads=1, tracker=Later(spoil))
+    env = PassiveVectorEnv(num_envs=2, threads=1, tracker=spoilt_later(PlainEkf, spoil))
     env.reset(seed=0)
     for _ in range(2):
         env.step(np.zeros((2, 2)))
@@ -1016,22 +989,12 @@ def numbers_in(tree):
     return [leaf for part in tree for leaf in numbers_in(part)] if isinstance(tree, tuple) else [tree]
 
 
-SPOILT = {
-    "mean": lambda mean, cov: Gaussian(mean * np.nan, cov),
-    "covariance": lambda mean, cov: Gaussian(mean, cov * np.nan),
-    "infinite": lambda mean, cov: Gaussian(mean + np.inf, cov * np.inf),
-    "one velocity": lambda mean, cov: Gaussian(mean + np.array([0.0, 0.0, np.nan, 0.0]), cov),
-    "negative": lambda mean, cov: Gaussian(mean, -cov),
-    "huge": lambda mean, cov: Gaussian(mean * 1e300, cov * 1e300),
-}
-
-
 @pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
 @pytest.mark.parametrize("scenario", ["TwoStation", "Ownship"])
 def test_what_a_tracker_loses_later_does_not_leave_the_environment(spoil, scenario):
     """Observation, reward and all of info stay finite, with every reward term in use."""
     weights = {f"reward_{name}": 1.0 for name in IN_PLANE}
-    tracker = Later(spoil)
+    tracker = spoilt_later(PlainEkf, spoil)
     env = PassiveVectorEnv(scenario, num_envs=2, threads=1, tracker=tracker, standoff_m=10e3, steps=8, **weights)
     env.reset(seed=0)
     with np.errstate(all="ignore"):

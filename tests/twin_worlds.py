@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.core import map_rows
+
 SHIFT = np.array([23e3, -17e3, 40.0, -70.0])
 """Truth of the second twin minus truth of the first [m, m/s]."""
 
@@ -75,6 +77,34 @@ def fly_twins(monkeypatch, scenario: Any, decide: Callable[[], Callable[[Any, An
 def shift(length):
     """SHIFT of a planar state of four numbers or, level, of one in space of six."""
     return SHIFT if length == 4 else np.insert(SHIFT, (2, 4), 0.0)
+
+
+def random_decisions(seed: int = 0) -> Callable[[], Callable[[Any, Any], Any]]:
+    """A maker of decision functions that all decide at random alike."""
+
+    def make():
+        rng = np.random.default_rng(seed)
+        return lambda belief, observation: rng.uniform(-1.0, 1.0, belief.last_action.shape)
+
+    return make
+
+
+def assert_twins_look_alike(first: Flown, second: Flown) -> None:
+    """Every reward differs, for it knows the truth; observations and beliefs are the same bit for bit."""
+    assert not any(np.array_equal(a, b) for a, b in zip(first.rewards, second.rewards, strict=True))
+    for a, b in zip(first.observations, second.observations, strict=True):
+        np.testing.assert_array_equal(a, b)
+    for a, b in zip(first.beliefs, second.beliefs, strict=True):
+        map_rows(np.testing.assert_array_equal, a, b)
+
+
+def assert_blind_to_truth(simulation: Any, world: Any, **truths: Any) -> None:
+    """Observation and belief stay as they are when tape, truth, bound, metrics and what else is named are not."""
+    names = ("tape", "truth", "bound", "metrics")
+    rubbish = map_rows(lambda a: np.full_like(a, 77), tuple(getattr(world, name) for name in names))
+    perturbed = world._replace(**dict(zip(names, rubbish, strict=True)), **truths)
+    np.testing.assert_array_equal(simulation.observe(perturbed), simulation.observe(world))
+    map_rows(np.testing.assert_array_equal, simulation.belief(perturbed), simulation.belief(world))
 
 
 class Wrapper:

@@ -90,12 +90,12 @@ class RangeSumEkf:
             ValueError: shapes that do not belong together, entries that are not finite, times out of order.
         """
         start = start_range_sums(scans, guess, times_s, self.noise, self.floor_m)
-        return RangeSumTrack(start.mean, start.cov, 0.0)
+        return RangeSumTrack(start.mean, start.cov, np.zeros(start.mean.shape[:-1]))
 
     def predict(self, state: RangeSumTrack, step_s: float) -> RangeSumTrack:
         """Propagate all tracks by one step."""
         mean, cov = _predict(state.mean, state.cov, step_s, self.noise)
-        return RangeSumTrack(mean, cov, step_s)
+        return RangeSumTrack(mean, cov, np.full(mean.shape[:-1], float(step_s)))
 
     def update(self, state: RangeSumTrack, scan: RangeSumScan) -> RangeSumUpdate:
         """Condition all tracks on one scan; without an echo they coast.

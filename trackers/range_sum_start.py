@@ -6,7 +6,9 @@
 
 by Levenberg–Marquardt with λ on the diagonal of N = JᵀJ + W (× 0.2 after a step that helps, × 5 after one that does
 not). N⁻¹ is its covariance; both are propagated to the last scan. So P₀ is honest: directions that no sum has told of
-keep the guess's spread, and without an echo the guess itself is the start.
+keep the guess's spread, and without an echo the guess itself is the start. A minimum below the ground, or one that
+noise does not explain (a ghost's, say), is tried again from its mirror image and from places a standard deviation off
+the guess; the least of all counts.
 `fixed_damping_step` is the paper's own: one step a scan on the position alone, its λ fixed.
 Source: Xu and Wang (2009), eq 12. Deviations: see above; H is taken at the current iterate, Z of the current scan.
 """
@@ -30,6 +32,13 @@ FIRST_DAMPING = 1e-3
 LARGEST_DAMPING = 1e12
 SETTLED = 1e-12
 """Squared length of a step, in standard deviations, at which the iteration ends."""
+
+PLAUSIBLE = 5.0
+"""A minimum so many standard deviations above what noise explains is taken for a local one."""
+
+ATTEMPTS = 6
+UNDER_GROUND = 1e12
+"""Added to the cost of a minimum below the ground: any other is better."""
 
 
 def start_range_sums(scans: RangeSumScan, guess: Gaussian, times_s, acceleration_var, floor_m: float) -> Gaussian:
@@ -145,7 +154,7 @@ def _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times
 
 @helper
 def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d):
-    """Levenberg–Marquardt from x [2d], in place; leaves N at the last x."""
+    """Levenberg–Marquardt from x [2d], in place; returns the cost and leaves N at the last x."""
     n = 2 * d
     damping = FIRST_DAMPING
     cost = _cost(x, mean, W, sums, used, transmitters, receiver, std, times, p, row, d)
@@ -172,6 +181,7 @@ def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, 
             damping *= 5.0
         if length < SETTLED or damping > LARGEST_DAMPING:
             break
+    return cost
 
 
 @helper
@@ -184,32 +194,53 @@ def _invert_into(A, n, inverse):
         solve_with_factor(A, inverse[i])
 
 
+@helper
+def _begin(attempt, mean, cov, best, floor, d, x):
+    """Where an attempt starts, into x [2d]: the guess, the best so far turned up, the guess a σ off along x or y."""
+    for i in range(2 * d):
+        x[i] = best[i] if attempt == 1 else mean[i]
+    if attempt == 1 and d == 3:
+        x[2], x[5] = 2.0 * floor - x[2], -x[5]
+    if attempt >= 2:
+        axis = (attempt - 2) // 2
+        x[axis] += math.sqrt(cov[axis, axis]) * (1.0 if attempt % 2 == 0 else -1.0)
+
+
 @kernel("(a),(a,a),(t,n),(t,n),(t,n,d),(t,d),(t,n),(t),(w),()->(a),(a,a)", "FFFBFFFFFfFF")
-def _start(mean, cov, sums, valid, transmitters, receiver, std, times, w, floor, x, P):
+def _start(mean, cov, sums, valid, transmitters, receiver, std, times, w, floor, best, P):
     n = mean.shape[0]
     d = n // 2
     N, A, W, used = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(valid.shape, np.bool_)
-    g, step, trial, p, row = np.empty(n), np.empty(n), np.empty(n), np.empty(d), np.empty(d)
+    x, g, step, trial, p, row = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(d), np.empty(d)
+    count = 0.0
     for t in range(sums.shape[0]):
         for s in range(sums.shape[1]):
             short = short_of_baseline(sums[t, s], std[t, s], receiver[t], transmitters[t, s], d)
             used[t, s] = valid[t, s] and not short
-    copy_gaussian(mean, cov, n, x, A)
+            count += 1.0 if used[t, s] else 0.0
+    copy_gaussian(mean, cov, n, best, A)
     _invert_into(A, n, W)
-    for attempt in range(2):
-        _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d)
-        if d == 3 and x[2] < floor and attempt == 0:
-            x[2], x[5] = 2.0 * floor - x[2], -x[5]
-        else:
+    least = math.inf
+    for attempt in range(ATTEMPTS):
+        _begin(attempt, mean, cov, best, floor, d, x)
+        cost = _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d)
+        if d == 3 and x[2] < floor:
+            cost += UNDER_GROUND
+        if cost < least:
+            least = cost
+            for i in range(n):
+                best[i] = x[i]
+        if least <= count + PLAUSIBLE * math.sqrt(2.0 * count):
             break
+    _normal_equations(best, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d)
     _invert_into(N, n, P)
     before = 0.0
     for t in range(times.shape[0]):
-        move_axes(x, P, times[t] - before, d)
+        move_axes(best, P, times[t] - before, d)
         add_axis_noise(P, times[t] - before, w, 1.0, d)
         before = times[t]
     if d == 3:
-        mirror_up(x, P, floor)
+        mirror_up(best, P, floor)
 
 
 # -- the paper's own --------------------------------------------------------------------------------------------------

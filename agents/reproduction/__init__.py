@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from agents.reproduction.angle_fusion import print_angle_fusion, reproduce_angle_fusion
 from agents.reproduction.imm_mie import print_imm_mie, reproduce_imm_mie
+from agents.reproduction.passive_radar import print_passive_radar, reproduce_passive_radar
 from agents.reproduction.radar_placement import print_radar_placement, reproduce_radar_placement
 from agents.reproduction.two_station import print_report, reproduce_two_station
 
 __all__ = [
     "print_angle_fusion",
     "print_imm_mie",
+    "print_passive_radar",
     "print_radar_placement",
     "print_report",
     "reproduce_angle_fusion",
     "reproduce_imm_mie",
+    "reproduce_passive_radar",
     "reproduce_radar_placement",
     "reproduce_two_station",
 ]

@@ -5,7 +5,15 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from passive_env.catalogue import angle_fusion, maneuvering, mobile_placement, ownship, placement, two_station
+from passive_env.catalogue import (
+    angle_fusion,
+    maneuvering,
+    mobile_placement,
+    ownship,
+    passive_radar,
+    placement,
+    two_station,
+)
 from passive_env.scenario import Scenario
 
 SCENARIOS: dict[str, Any] = {
@@ -15,6 +23,7 @@ SCENARIOS: dict[str, Any] = {
     **maneuvering.CATALOGUE,
     **placement.CATALOGUE,
     **mobile_placement.CATALOGUE,
+    **passive_radar.CATALOGUE,
 }
 """All scenarios by name."""
 

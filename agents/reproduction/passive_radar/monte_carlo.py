@@ -30,19 +30,19 @@ PLAIN = RangeSumEkfLiteral(floor_m=NO_FLOOR_M)
 """The paper's filter without its maneuver test."""
 
 
-class Layout(NamedTuple):
+class Sites(NamedTuple):
     """Sites at rest: receiver [d] m, transmitters [n, d] m."""
 
     receiver: np.ndarray
     transmitters: np.ndarray
 
-    def in_plane(self, count: int) -> Layout:
+    def in_plane(self, count: int) -> Sites:
         """The first `count` transmitters in the plane."""
-        return Layout(self.receiver[:2], self.transmitters[:count, :2])
+        return Sites(self.receiver[:2], self.transmitters[:count, :2])
 
 
-POOR = Layout(np.zeros(3), 1e3 * np.array([[-32.0, -33.0, 0.05], [0.0, -45.0, 0.06], [-10.0, -90.0, 0.1]]))
-GOOD = Layout(
+POOR = Sites(np.zeros(3), 1e3 * np.array([[-32.0, -33.0, 0.05], [0.0, -45.0, 0.06], [-10.0, -90.0, 0.1]]))
+GOOD = Sites(
     1e3 * np.array([-36.0, 0.0, 0.1]), 1e3 * np.array([[-108.0, -124.7, 0.0], [-108.0, 124.7, 0.0], [108.0, 0.0, 0.0]])
 )
 """The equilateral triangle the paper's section 3.2 means; it prints T₁ = T₂."""
@@ -60,7 +60,9 @@ PAIR_GUESSES = {"true": np.array([30e3, 5e3, 0.0, 0.0]), "ghost": np.array([-30e
 PAIR_PRIOR_STD = np.array([20e3, 20e3, 200.0, 200.0])
 
 MANEUVER_S = (450, 550)
-MANEUVER_M_S2 = np.array([-8.0, 10.0, 0.0])
+MANEUVER_M_S2 = (-8.0, 10.0, 0.0)
+TURN_G = 3.0
+GRAVITY = 9.81
 
 
 def gaussian(mean, std) -> Gaussian:
@@ -92,46 +94,63 @@ class Flights(NamedTuple):
     path: np.ndarray
     errors: np.ndarray
 
-    def heard(self, layout: Layout) -> RangeSumScan:
-        """All range sums [r, k + 1, n]; a path in space heard by a plane layout's sites stays in space."""
-        sums = range_sum(self.path[..., : self.path.shape[-1] // 2], *raised(layout, self.path.shape[-1] // 2))
+    def heard(self, sites: Sites) -> RangeSumScan:
+        """All range sums [r, k + 1, n]; a path in space stays one if the sites lie in the plane."""
+        sums = range_sum(self.path[..., : self.path.shape[-1] // 2], *raised(sites, self.path.shape[-1] // 2))
         sums = sums + self.errors[..., : sums.shape[-1]]
         return RangeSumScan(
-            sums, np.ones(sums.shape, bool), layout.transmitters, layout.receiver, np.full(sums.shape[-1], STD_M)
+            sums, np.ones(sums.shape, bool), sites.transmitters, sites.receiver, np.full(sums.shape[-1], STD_M)
         )
 
 
-def raised(layout: Layout, d: int) -> Layout:
-    """The layout with d coordinates, those missing 0."""
-    missing = d - len(layout.receiver)
-    return Layout(np.pad(layout.receiver, (0, missing)), np.pad(layout.transmitters, ((0, 0), (0, missing))))
+def raised(sites: Sites, d: int) -> Sites:
+    """The sites with d coordinates, those missing 0."""
+    receiver, transmitters = np.zeros(d), np.zeros((len(sites.transmitters), d))
+    receiver[: len(sites.receiver)] = sites.receiver
+    transmitters[:, : len(sites.receiver)] = sites.transmitters
+    return Sites(receiver, transmitters)
 
 
-def fly(rng: np.random.Generator, start: np.ndarray, runs: int, maneuver=None, steps: int = STEPS) -> Flights:
-    """Paths with the model's random accelerations and, during `MANEUVER_S`, a given one [d] m/s²."""
+def fly(
+    rng: np.random.Generator, start: np.ndarray, runs: int, maneuver: np.ndarray | float = 0.0, steps: int = STEPS
+) -> Flights:
+    """Paths with the model's random accelerations and a maneuver's [steps, d] m/s²."""
     d = len(start) // 2
-    a = rng.standard_normal((runs, steps, d)) * np.sqrt(ACCELERATION_VAR[:d])
-    if maneuver is not None:
-        a[:, slice(*MANEUVER_S)] += maneuver
+    a = rng.standard_normal((runs, steps, d)) * np.sqrt(ACCELERATION_VAR[:d]) + maneuver
     velocity = start[d:] + np.concatenate([np.zeros((runs, 1, d)), a.cumsum(1)], axis=1)
     moved = velocity[:, :-1] + 0.5 * a
     position = start[:d] + np.concatenate([np.zeros((runs, 1, d)), moved.cumsum(1)], axis=1)
     return Flights(np.concatenate([position, velocity], axis=-1), STD_M * rng.standard_normal((runs, steps + 1, 3)))
 
 
+def paper_maneuver() -> np.ndarray:
+    """Section 3.3: one acceleration [k, 3] m/s² for 100 s, at the end of which the target flies 1.08 km/s."""
+    a = np.zeros((STEPS, 3))
+    a[slice(*MANEUVER_S)] = MANEUVER_M_S2
+    return a
+
+
+def level_turn() -> np.ndarray:
+    """A turn by 180° at `TURN_G` g from the maneuver's first second on: accelerations [k, 3] m/s² of the scans."""
+    speed = np.hypot(*TARGET[3:5])
+    rate = TURN_G * GRAVITY / speed
+    turned = np.clip(rate * (np.arange(STEPS + 1) - MANEUVER_S[0]), 0.0, np.pi)
+    heading = np.arctan2(TARGET[4], TARGET[3]) + turned
+    velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(STEPS + 1)], axis=-1)
+    return np.diff(velocity, axis=0)
+
+
 # -- following --------------------------------------------------------------------------------------------------------
 
 
 class Record(NamedTuple):
-    """What a tracker said, at every scan.
+    """How far a tracker was off, at every scan.
 
     Attributes:
-        position: [r, k + 1, d] m, estimated.
         error: [r, k + 1, d] m, estimated minus true.
         fired: [r, k + 1] bool, the maneuver test; False while the batch start goes on.
     """
 
-    position: np.ndarray
     error: np.ndarray
     fired: np.ndarray
 
@@ -150,13 +169,13 @@ class Record(NamedTuple):
 
 
 def follow(
-    tracker: RangeSumEkf, layout: Layout, flights: Flights, prior: Gaussian, start_scans: int = START_SCANS
+    tracker: RangeSumEkf, sites: Sites, flights: Flights, prior: Gaussian, start_scans: int = START_SCANS
 ) -> Record:
     """Start from a prior at time 0 by the batch over the first scans; `start_scans` 1: the plain filter, no batch.
 
     The plain filter's first update is one step of the filter at the guess, as in the paper.
     """
-    scans = flights.heard(layout)
+    scans = flights.heard(sites)
     state, tracks, fired = RangeSumTrack(prior.mean, prior.cov, 0.0), [], []
     for k in range(scans.range_sums.shape[1]):
         if start_scans > 1 and k < start_scans:
@@ -164,14 +183,14 @@ def follow(
         else:
             update = tracker.update(tracker.predict(state, 1.0 if k else 0.0), _scans(scans, k))
             state, alarm = update.posterior, update.maneuver
-        tracks.append(state.mean[:, : len(layout.receiver)])
+        tracks.append(state.mean[:, : len(sites.receiver)])
         fired.append(np.broadcast_to(alarm, len(flights.path)))
     return _record(flights, tracks, fired)
 
 
-def follow_wording(tracker: RangeSumEkf, layout: Layout, flights: Flights, prior: Gaussian) -> Record:
+def follow_wording(tracker: RangeSumEkf, sites: Sites, flights: Flights, prior: Gaussian) -> Record:
     """As `follow`, but a fired test widens the next scan's prediction, not its own: the paper's wording."""
-    scans, asks = flights.heard(layout), RangeSumEkf(tracker.process_noise, tracker.false_alarm, 1.0, tracker.floor_m)
+    scans, asks = flights.heard(sites), RangeSumEkf(tracker.process_noise, tracker.false_alarm, 1.0, tracker.floor_m)
     wider = (tracker.inflation**2 - 1.0) * axis_noise(1.0, ACCELERATION_VAR)
     state = asks.initiate(_scans(scans, slice(START_SCANS)), prior, np.arange(START_SCANS, dtype=float))
     tracks, alarm = [state.mean[:, :3]] * START_SCANS, np.zeros(len(flights.path), bool)
@@ -186,9 +205,9 @@ def follow_wording(tracker: RangeSumEkf, layout: Layout, flights: Flights, prior
     return _record(flights, tracks, fired)
 
 
-def follow_literal_start(layout: Layout, flights: Flights, guess: np.ndarray, damping: float, scans: int) -> np.ndarray:
+def follow_literal_start(sites: Sites, flights: Flights, guess: np.ndarray, damping: float, scans: int) -> np.ndarray:
     """Errors [r, d] m after one step of eq 12 for each of the first scans, from the guess [d]."""
-    heard, d = flights.heard(layout), len(layout.receiver)
+    heard, d = flights.heard(sites), len(sites.receiver)
     position = np.broadcast_to(guess[:d], (len(flights.path), d))
     for k in range(scans):
         position = fixed_damping_step(position, _scans(heard, k), damping)
@@ -204,5 +223,4 @@ def _scans(scans: RangeSumScan, key) -> RangeSumScan:
 
 def _record(flights: Flights, tracks: list, fired: list) -> Record:
     position = np.stack(tracks, axis=1)
-    error = position - flights.path[..., : position.shape[-1]]
-    return Record(position, error, np.stack(fired, axis=1))
+    return Record(position - flights.path[..., : position.shape[-1]], np.stack(fired, axis=1))

@@ -1,0 +1,200 @@
+"""Pictures of a passive radar's episode: the map with range-sum ellipses, and who was asked and answered over time.
+
+The map is that of `passive_env.render` and shows besides every transmitter, filled where the receiver listens to it,
+with a line by way of the track to the receiver where its echo came; the ellipse on which that echo puts the target
+(in space its level section at the track's height); and in the plane the ghost, where the first two of them cross for
+the second time. Below it stands a row per transmitter: answered, missed, still retuning, and in grey, which no one
+knows, blocked.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from passive_env.core import Simulation, World
+from passive_env.kinematics import plan_view
+from passive_env.palette import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, VERMILION
+from passive_env.render import (
+    Frame,
+    Scene,
+    bottom_legend,
+    ellipses,
+    grow,
+    metres,
+    name_tag,
+    place_estimates,
+    ring,
+    set_limits,
+    zone_samples,
+)
+from trackers.ellipse_intersection import intersect
+from trackers.gaussian import Gaussian
+
+MAP_BOX = (0.085, 0.36, 0.895, 0.585)
+ROWS_BOX = (0.085, 0.15, 0.895, 0.155)
+"""Left, bottom, width, height of the axes as shares of the picture."""
+COLORS = {"answered": BLUE, "missed": VERMILION, "retuning": ORANGE}
+"""Of the rows, in the order of their codes from 1 on; 0 is not listened to."""
+BLOCKED = "#CFCFCF"
+"""Colour of the time in which a transmitter is blocked."""
+SITE: dict[str, Any] = {"linestyle": "none", "marker": "^", "markersize": 9.0, "color": INK, "zorder": 6}
+GHOST: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 9.0, "color": PURPLE, "zorder": 5}
+"""Styles of a transmitter and of the ghost."""
+
+
+class RadarScene(Scene):
+    """The artists of a picture, made once and moved from step to step.
+
+    Args:
+        figure: an empty figure.
+        scenario: supplies the pool, the stand-off and the episode's length.
+    """
+
+    legend_columns = 4
+
+    def __init__(self, figure: Figure, scenario: Any):
+        super().__init__(figure, 1, 1, scenario.steps, scenario.standoff_m, MAP_BOX)
+        self._moves, n = scenario.moves, scenario.pool
+        self._in_plane, self._waits = scenario.dimensions == 2, scenario.retune_delay_s > 0.0
+        self._station_names[0].set_text("receiver")
+        self._sites = [self._axes.plot([], [], **SITE)[0] for _ in range(n)]
+        self._site_names = [name_tag(self._axes, str(i + 1), INK) for i in range(n)]
+        self._sums = LineCollection([], colors=GREEN, linewidths=0.9, alpha=0.8, zorder=2)
+        self._axes.add_collection(self._sums)
+        self._ghost = self._axes.plot([], [], **GHOST)[0]
+        self._rows = figure.add_axes(ROWS_BOX)
+        self._rows.set_xlabel("time [s]", fontsize=9, color=INK, labelpad=1)
+        self._rows.set_ylabel("transmitter", fontsize=9, color=INK)
+        self._rows.tick_params(labelsize=8, colors=INK)
+        self._rows.set_yticks(range(1, n + 1))
+        half, end = 0.5 * scenario.step_s, scenario.steps * scenario.step_s
+        box = (-half, end + half, n + 0.5, 0.5)
+        self._hidden = self._layer(np.zeros((n, scenario.steps + 1)), ["#FFFFFF", BLOCKED], box)
+        self._told = self._layer(np.zeros((n, scenario.steps + 1)), ["#FFFFFF00", *COLORS.values()], box)
+        self._codes, self._episode = np.zeros((n, scenario.steps + 1)), b""
+
+    def update(self, world: World, trails: np.ndarray, frame: Frame, simulation: Simulation) -> None:
+        """Show a world (a batch of one) with the receiver's trail [1, k, d] m inside a frame."""
+        sites, heights = world.tape.transmitters[0, :, :2], world.estimate.mean[0, 0, 2:3]
+        frame = grow(frame, 1e-3 * sites, self.aspect)
+        level = _level(world)
+        super().update(level, trails[..., :2], frame, simulation)
+        if not self._moves:
+            self._stations[0].set_marker("D")
+            self._station_names[0].set(ha="center", va="top", position=(0, -9))
+        height = float(heights[0]) if world.truth.shape[-1] == 6 else 0.0
+        self._show_sites(level, sites, frame)
+        self._show_sums(level, sites, height)
+        self._show_rows(world)
+
+    def pixels(self) -> np.ndarray:
+        """RGB uint8 [h, w, 3]."""
+        canvas: Any = self._figure.canvas
+        canvas.draw()
+        return np.array(np.asarray(canvas.buffer_rgba())[..., :3])
+
+    def _layer(self, values: np.ndarray, colors: list[str], box: tuple[float, float, float, float]) -> Any:
+        return self._rows.imshow(
+            values, cmap=ListedColormap(colors), vmin=0, vmax=len(colors) - 1, aspect="auto", interpolation="nearest",
+            extent=box,
+        )  # fmt: skip
+
+    def _show_axes(self, frame: Frame, hypotheses: bool, world: World) -> None:
+        if self._shown == (*frame.low, *frame.high):
+            return
+        self._shown = (*frame.low, *frame.high)
+        set_limits(self._axes, frame)
+        bottom_legend(self._figure, self._samples(), columns=self.legend_columns)
+
+    def _samples(self) -> list[Any]:
+        told = [
+            Patch(facecolor=to_rgb(color), label=name)
+            for name, color in COLORS.items()
+            if self._waits or name != "retuning"
+        ]
+        ghost = Line2D([], [], **GHOST, label="ghost of two of them")
+        return [
+            Line2D([], [], **SITE, label="transmitter listened to"),
+            Line2D([], [], **{**SITE, "markerfacecolor": "white"}, label="another one"),
+            Line2D([], [], color=BLUE, linewidth=2.0, label="true path"),
+            Line2D([], [], **ring(MUTED, 9.0), label="estimate, its 2σ ellipse"),
+            Line2D([], [], color=GREEN, linewidth=0.9, label="range sum"),
+            *([ghost] if self._in_plane else []), *told, Patch(facecolor=BLOCKED, label="blocked (the truth)"),
+            *zone_samples(False, self._standoff_m > 0.0),
+        ]  # fmt: skip
+
+    def _show_sites(self, world: World, sites: np.ndarray, frame: Frame) -> None:
+        for i, (line, name) in enumerate(zip(self._sites, self._site_names, strict=True)):
+            line.set_data(*(1e-3 * sites[i, :, None]))
+            line.set_markerfacecolor(INK if world.reports.listening.chosen[0, i] else "white")
+            name.xy = 1e-3 * sites[i]
+
+    def _show_tracks(self, world: World, frame: Frame) -> None:
+        """The estimate with its ellipse, and the ways of the echoes that came: no station is assigned here."""
+        told = world.reports.listening.answered[0]
+        mean, own = world.estimate.mean[0, :, :2], world.platforms[0, 0, :2]
+        self._ellipses.set_verts(list(1e-3 * ellipses(mean, world.estimate.cov[0, :, :2, :2])))
+        place_estimates(self._estimates, self._off_frame, own, mean, frame)
+        ways = [np.stack([site, mean[0], own]) for site in world.tape.transmitters[0, told, :2]]
+        self._bearings.set_segments([1e-3 * way for way in ways])
+
+    def _show_sums(self, world: World, sites: np.ndarray, height: float) -> None:
+        """Ellipses of the echoes that came, and the ghost where two of them cross again."""
+        scan, own = world.reports.scan, world.platforms[0, 0, :2]
+        came = np.flatnonzero(scan.valid[0])
+        sums = scan.range_sums[0, came]
+        outlines = [sum_ellipse(s, own, site, height) for s, site in zip(sums, sites[came], strict=True)]
+        self._sums.set_segments([1e-3 * outline for outline in outlines])
+        ghost = np.empty((0, 2))
+        if len(came) >= 2 and self._in_plane:
+            crossings = intersect(sums[:2], sites[came[:2]], own)
+            away = np.hypot(*(crossings.position - world.estimate.mean[0, 0, :2]).T)
+            ghost = crossings.position[[away.argmax()]] if crossings.valid.all() else ghost
+        self._ghost.set_data(*(1e-3 * ghost.T))
+
+    def _show_rows(self, world: World) -> None:
+        step, told = int(world.step[0]), world.reports.listening
+        episode = world.tape.guess[0].tobytes()
+        if episode != self._episode:
+            self._codes[:] = 0.0
+        self._episode = episode
+        waits = told.chosen[0] & ~told.answered[0] & ~told.missed[0]
+        self._codes[:, step:] = 0.0
+        self._codes[:, step] = told.answered[0] + 2.0 * told.missed[0] + 3.0 * waits
+        known = np.arange(self._codes.shape[1]) <= step
+        self._told.set_data(self._codes)
+        self._hidden.set_data(world.tape.blocked[0].T & known)
+
+    def _merit_of(self, world: World) -> str:
+        error, bound = world.metrics.horizontal_error_m[0, 0], world.metrics.horizontal_crlb_m[0, 0]
+        return f"horizontal error {metres(error)},  1σ bound {metres(bound)}"
+
+
+def sum_ellipse(range_sum_m: float, receiver: np.ndarray, transmitter: np.ndarray, height: float = 0.0) -> np.ndarray:
+    """Level outline [k, 2] m of the points of a range sum, at a height [m] above two sites [2] m; one point if none."""
+    middle, line = 0.5 * (receiver + transmitter), 0.5 * (transmitter - receiver)
+    focal = max(math.hypot(*line), 1e-9)
+    major = max(0.5 * range_sum_m, focal)
+    minor = math.sqrt(major * major - focal * focal)
+    scale = math.sqrt(max(1.0 - (height / minor) ** 2, 0.0)) if minor > 0.0 else 1.0
+    angle = np.linspace(0.0, 2.0 * math.pi, 181)[:, None]
+    along = line / focal
+    left = np.array([-along[1], along[0]])
+    return middle + scale * (major * np.cos(angle) * along + minor * np.sin(angle) * left)
+
+
+def _level(world: World) -> World:
+    """The world seen from above."""
+    if world.truth.shape[-1] == 4:
+        return world
+    mean = np.ascontiguousarray(plan_view(world.estimate.mean))
+    estimate = Gaussian(mean, world.estimate.cov)
+    return world._replace(platforms=plan_view(world.platforms), truth=plan_view(world.truth), estimate=estimate)
