@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.placement import RULES, Rule, Search, commands_of, even, layout_commands, rows_of, spaced
+from agents.placement import BestRule, Planned, Rule, Search, commands_of, even, layout_commands, spaced
 from agents.placement import tripod as static_tripod
 from agents.policy import Policy
 from passive_env.core import World
@@ -78,32 +78,26 @@ def _spread(state: Any, axes: int) -> ScanState:
     return ScanState(*(np.expand_dims(part, at) for part in (state.mean, state.cov, state.scans, state.waited_s)))
 
 
-class BestStaticRule:
-    """Installs by the rule whose layout promises least.
-
-    Args:
-        scenario: what to act in.
-    """
+class Standing(Planned):
+    """Plans whole layouts by `StaticPromise`, installs them and leaves them there."""
 
     def __init__(self, scenario: Any):
         self._promise, self._sensors = StaticPromise(scenario), scenario.sensors
         self._plan: np.ndarray | None = None
 
-    def reset(self, belief: MobileBelief) -> None:
-        """Forget the layouts."""
-        self._plan = None
-
     def act(self, belief: MobileBelief, observation: np.ndarray) -> np.ndarray:
         """Commands [e, 3 n], the same at every step."""
         if self._plan is None:
-            layouts = np.stack([layout_commands(rule, belief.task, self._sensors) for rule in RULES], axis=1)
-            best = self._promise(belief.task, layouts).argmin(axis=1)
-            self._plan = layouts[np.arange(len(best)), best].reshape(len(best), -1)
-        return self._plan
+            self._plan = self.plan(belief.task)
+        return self._plan.reshape(len(self._plan), -1)
 
 
-class BestStatic(Search):
-    """Looks for the best static layout with `scipy.optimize`: what moving is measured by (`agents.placement.Search`).
+class BestStaticRule(Standing, BestRule):
+    """Keeps to the rule whose layout promises least."""
+
+
+class BestStatic(Standing, Search):
+    """The best static layout that the search finds: what moving is measured by.
 
     Args:
         scenario: what to act in.
@@ -111,15 +105,8 @@ class BestStatic(Search):
     """
 
     def __init__(self, scenario: Any, seed: int = 0):
-        self._promise, self._sensors, self._seed = StaticPromise(scenario), scenario.sensors, seed
-        self._plan = None
-
-    def act(self, belief: MobileBelief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, 3 n], the same at every step."""
-        if self._plan is None:
-            tasks = [rows_of(belief.task, slice(i, i + 1)) for i in range(len(belief.steps_left))]
-            self._plan = np.stack([self.search(task).ravel() for task in tasks])
-        return self._plan
+        Standing.__init__(self, scenario)
+        self._seed = seed
 
 
 # -- moving ------------------------------------------------------------------------------------------------------------

@@ -33,11 +33,9 @@ class MobileReports(NamedTuple):
 
     Attributes:
         measured: [e, n] bool, whether a sensor measured the target.
-        nis: [e] normalised innovation squared of all measurements together; 0 while the track starts.
     """
 
     measured: Any
-    nis: Any
 
 
 @kernel("(k,m,x6),(k,n,p3),(),(n,x6),(p3),(n),()->(n,p3),(n),(m,x6)", "FFiFFBfFBF")
@@ -80,12 +78,11 @@ class RadarSensors:
 
     def acquired(self, sighting: MobileSighting, state: ScanState) -> MobileReports:
         """What there is before the first scan: nothing."""
-        e = len(sighting.truth)
-        return MobileReports(np.zeros((e, self._scenario.sensors), dtype=bool), np.zeros(e))
+        return MobileReports(np.zeros((len(sighting.truth), self._scenario.sensors), dtype=bool))
 
     def report(self, sighting: MobileSighting, update: ScanUpdate) -> MobileReports:
         """What a scan brought."""
-        return MobileReports(sighting.scan.measured[:, 0], update.nis[:, 0])
+        return MobileReports(sighting.scan.measured[:, 0])
 
     def info(self, reports: MobileReports) -> dict[str, Any]:
         """Nothing besides the figures of merit."""
