@@ -59,7 +59,7 @@ class Selection:
 
 
 class Fixed(Selection):
-    """Listens to the same transmitters all the time: the first ones of the pool, with the paper's sites all there are."""
+    """Listens to the same transmitters all the time: the first of the pool; of the paper's sites, all there are."""
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
