@@ -178,7 +178,7 @@ class Greedy:
         scenario: what to act in.
         scans: looked at, spread evenly over the time.
         ahead_s: time looked ahead.
-        install_s: the same when sensors are installed.
+        install_s: the same when sensors are installed; of carriers on the ground, which move little, the whole track.
         installer: who installs them instead, if any.
     """
 
@@ -195,10 +195,14 @@ class Greedy:
     ):
         self._installer = installer
         self._scenario, self._tracker = scenario, scenario.make_tracker()
-        self._scans, self._ahead_s, self._install_s = scans, ahead_s, install_s
+        whole = scenario.steps * scenario.step_s
+        self._scans, self._ahead_s = scans, ahead_s
+        self._install_s = install_s if scenario.carrier == "airborne" else whole
 
     def reset(self, belief: MobileBelief) -> None:
-        """Nothing to remember."""
+        """Nothing to remember, except what the installer does."""
+        if self._installer is not None:
+            self._installer.reset(belief)
 
     def act(self, belief: MobileBelief, observation: np.ndarray) -> np.ndarray:
         """Commands [e, 3 n]."""
@@ -310,6 +314,7 @@ MOBILE: dict[str, Callable[[Any, int], Policy]] = {
     "rule": lambda scenario, seed: Formation(scenario),
     "greedy": lambda scenario, seed: Greedy(scenario),
     "greedy_after_rule": lambda scenario, seed: Greedy(scenario, installer=Formation(scenario)),
+    "greedy_after_optimizer": lambda scenario, seed: Greedy(scenario, installer=BestStatic(scenario, seed)),
     "oracle": lambda scenario, seed: Oracle(scenario),
 }
 """Makers (scenario, seed) of what installs sensors and moves them."""
