@@ -13,7 +13,9 @@ import numpy as np
 import pymap3d
 import pytest
 
-from passive_env import flights
+from passive_env import flight_path, flights
+from passive_env.flight_cleaning import GAP_S, MIN_DURATION_S
+from passive_env.flight_file import FOOT_M, KNOT_M_S
 from passive_env.flights import FlightFileError, FlightPaths, FlightReport, load_flights
 
 HEADER = [
@@ -52,9 +54,9 @@ def rows_of(path, time_s, icao24="abc123", callsign="TEST1", late_s=0.0):
     east_north, _ = path(time_s - late_s)
     _, velocity = path(time_s)
     lat, lon, _ = pymap3d.enu2geodetic(east_north[:, 0], east_north[:, 1], np.zeros(len(time_s)), *ORIGIN)
-    knots = np.hypot(*velocity.T) / flights.KNOT_M_S
+    knots = np.hypot(*velocity.T) / KNOT_M_S
     track = np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360
-    feet = ORIGIN[2] / flights.FOOT_M
+    feet = ORIGIN[2] / FOOT_M
     return [
         [str(START + timedelta(seconds=float(t))), icao24, callsign, f"{a:.6f}", f"{b:.6f}", f"{feet:.0f}", f"{v:.1f}",
          f"{c:.2f}", "0"]
@@ -108,10 +110,10 @@ def test_shipped_flights_are_finite_increasing_and_gap_free(library):
     for flight in library.flights:
         assert flight.time_s[0] == 0
         assert np.diff(flight.time_s).min() > 0
-        assert np.diff(flight.time_s).max() <= flights.GAP_S
+        assert np.diff(flight.time_s).max() <= GAP_S
         assert np.isfinite(flight.position_m).all()
         np.testing.assert_allclose(flight.position_m[0, :2], 0, atol=1e-6)
-        assert flight.duration_s >= flights.MIN_DURATION_S
+        assert flight.duration_s >= MIN_DURATION_S
 
 
 def test_split_shares_no_aircraft_and_loses_none(library):
@@ -173,7 +175,7 @@ def test_path_predicts_rows_it_has_not_seen(library):
     for flight in library.flights[::4]:
         seen = np.arange(len(flight.time_s)) % 3 != 1
         seen[-1] = True
-        path = flights.fit_path(
+        path = flight_path.fit_path(
             flight.time_s[seen], flight.position_m[seen, :2], flight.velocity_m_s[seen, :2], 30.0, 1.5, 0.1
         )
         velocity = path(flight.time_s[~seen], nu=1)
@@ -293,7 +295,7 @@ def test_turn_onset_is_not_rounded_off(load_rows):
 
 
 def test_cubic_basis_sums_to_one_and_its_derivative_to_zero():
-    _, values, slopes = flights._cubic_basis(np.linspace(0.0, 12.0, 50), 4.0, 3)
+    _, values, slopes = flight_path._cubic_basis(np.linspace(0.0, 12.0, 50), 4.0, 3)
     np.testing.assert_allclose(values.sum(axis=1), 1.0)
     np.testing.assert_allclose(slopes.sum(axis=1), 0.0, atol=1e-15)
 
@@ -309,7 +311,7 @@ def test_banded_least_squares_equals_dense_least_squares():
     root = np.sqrt(weight)[:, None]
     expected = np.linalg.lstsq(root * dense, root * target, rcond=None)[0]
     column = first[:, None] + np.arange(4)
-    np.testing.assert_allclose(flights._banded_least_squares(design, column, target, weight), expected, atol=1e-9)
+    np.testing.assert_allclose(flight_path._banded_least_squares(design, column, target, weight), expected, atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------------------ windows
