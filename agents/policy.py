@@ -16,6 +16,7 @@ from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.mobile_placement import MobilePlacement
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
 
@@ -69,6 +70,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.mobile_placement import MOBILE
     from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
+    from agents.radar_policies import RADAR
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
     searching = {**GREEDY, **PLANNERS}
@@ -79,6 +81,7 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
         RadarPlacement: {**PLACEMENT, "random": STEADY["random"]},
         MobilePlacement: {**MOBILE, "random": STEADY["random"]},
+        PassiveRadar: {**RADAR, "random": STEADY["random"]},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

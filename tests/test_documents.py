@@ -24,9 +24,11 @@ FAMILIES = {
     "AngleFusion": ROOT / "docs" / "angle_fusion.md",
     "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
     "RadarPlacement": ROOT / "docs" / "radar_placement.md",
+    "MobilePlacement": ROOT / "docs" / "mobile_placement.md",
+    "PassiveRadar": ROOT / "docs" / "passive_radar.md",
 }
 """Environments and the documents that describe them."""
-TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement")]
+TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
 WITH_CODE = [ROOT / "README.md", *TRACKER_PAGES, *FAMILIES.values()]
 
 
