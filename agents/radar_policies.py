@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy import Policy
+from agents.policy import Policy, sees_world
 from passive_env.core import World
 from passive_env.radar_promise import Ahead, Blockage, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
@@ -60,7 +60,7 @@ class Selection:
 
 
 class Fixed(Selection):
-    """Listens to the same transmitters all the time: the first of the pool; of the paper's sites, all there are."""
+    """Listens to the same transmitters all the time, the first ones of the pool: of the paper's sites to all."""
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
@@ -275,6 +275,13 @@ class Moving:
     def __init__(self, scenario: Any, selection: Selection, heading: Callable[[RadarBelief], np.ndarray] | None):
         self._selection, self._heading = selection, heading
         self._turn = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+
+        self.needs_world = sees_world(selection)
+
+    def see(self, world: World) -> None:
+        """Let an oracle that selects look at the truth."""
+        show: Any = self._selection
+        show.see(world)
 
     def reset(self, belief: RadarBelief) -> None:
         """Begin episodes."""

@@ -232,3 +232,21 @@ class SumPrediction:
 
         blocks = Blocks(len(belief.mean), block=BLOCK)
         return np.concatenate(blocks.map(weigh, blocks.slices))
+
+
+class Promise:
+    """Logarithm of the error [e, c] that every combination promises if it is kept, by the belief alone.
+
+    Args:
+        scenario: what is acted in.
+        scans: for how long it is kept; of more than three, two are taken as one.
+    """
+
+    def __init__(self, scenario: Any, scans: int):
+        together = 2 if scans > 3 and scans % 2 == 0 else 1
+        self._prediction = SumPrediction(scenario, scans, together=together, cases=scans == 1)
+        self._outlook = Blockage(scenario)
+
+    def __call__(self, belief: RadarBelief) -> np.ndarray:
+        """[e, c] of beliefs."""
+        return self._prediction(belief, self._outlook(belief, self._prediction.ahead))
