@@ -8,6 +8,8 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.transmitter_network import NETWORK
+
 
 class Algorithm(NamedTuple):
     """A learner of Stable-Baselines3 or sb3-contrib.
@@ -44,6 +46,15 @@ class Algorithm(NamedTuple):
             return "has no mean action to begin with, its preset must not say 'first_action'"
         if preset.get("asymmetric", False) and (self.learner, self.network) != (PPO, "MlpPolicy"):
             return "has no critic that could know more than its actor, its preset must not say 'asymmetric = true'"
+        if "network" in preset:
+            return self._network_refusal(preset)
+        return None
+
+    def _network_refusal(self, preset: dict[str, Any]) -> str | None:
+        if preset["network"] != NETWORK:
+            return f"knows no network {preset['network']!r}: its preset must say {NETWORK!r}, or leave it out"
+        if self.learner is not PPO or preset.get("asymmetric", False) or "first_action" in preset:
+            return f"cannot take network = {NETWORK!r}: it is for ppo without 'asymmetric' and 'first_action'"
         return None
 
 

@@ -33,7 +33,13 @@ BASELINES = (
     "rule_tuned",
     "rule_average",
     "rule_best",
+    "round_robin",
     "greedy",
+    "skip",
+    "bayes",
+    "hysteresis",
+    "hold10",
+    "pursuit",
     "planner",
     "optimizer",
 )

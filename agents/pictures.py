@@ -1,6 +1,6 @@
 """Pictures of evaluations and training: each function returns a figure, saving it is the caller's.
 
-Figures are made without pyplot and change no global setting. Colours and signs are those of `passive_env.render`.
+Figures are made without pyplot and change no global setting. Colours and signs are those of `passive_env.artists`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 from scipy.optimize import isotonic_regression
 
-from passive_env import render
+from passive_env import artists
 from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, curve_color, series_color
 
 DPI = 150
@@ -124,7 +124,7 @@ def _label_ends(axes: Axes, at: float, ends_km: Mapping[str, float]) -> None:
     for name, place in zip(names, places, strict=True):
         leader = {"arrowstyle": "-", "color": colors[name], "shrinkA": 2, "shrinkB": 0, "relpos": (0, 0.5)}
         axes.annotate(
-            f"{name}, {render.kilometres(1e3 * ends_km[name])}", (at, ends_km[name]), xytext=(1.05, place),
+            f"{name}, {artists.kilometres(1e3 * ends_km[name])}", (at, ends_km[name]), xytext=(1.05, place),
             textcoords="axes fraction", va="center", fontsize=9.5, color=INK, annotation_clip=False, arrowprops=leader,
         )  # fmt: skip
 
@@ -150,7 +150,7 @@ def geometry(time_s: Any, paths: Mapping[str, EpisodePaths], title: str) -> Figu
     for axes, below, (name, episode) in zip(maps, diagrams, paths.items(), strict=True):
         _panel(axes, episode, frame)
         _errors_below(below, time_s, episode, limits)
-        final = render.kilometres(np.mean(episode.error_m[-1]))
+        final = artists.kilometres(np.mean(episode.error_m[-1]))
         axes.set_title(f"{name}: {final} off at the end", fontsize=11.5, color=INK)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.12 / figure.get_figheight(), va="top")
     samples = _geometry_samples(next(iter(paths.values())))
@@ -172,8 +172,8 @@ def _check_paths(time_s: Any, paths: Mapping[str, EpisodePaths]) -> None:
 
 def _geometry_samples(episode: EpisodePaths) -> list[Any]:
     several = np.shape(episode.stations)[1] > 1
-    samples = render.legend_samples(hypotheses=False, reference=several)[:4]
-    samples += render.zone_samples(len(episode.discs) > 0, episode.standoff_m > 0.0)
+    samples = artists.legend_samples(hypotheses=False, reference=several)[:4]
+    samples += artists.zone_samples(len(episode.discs) > 0, episode.standoff_m > 0.0)
     return [*samples, *_error_samples(episode.error)]
 
 
@@ -191,7 +191,7 @@ def _panels(count: int, error: str) -> tuple[Figure, list[Axes], list[Axes]]:
         row, column = divmod(i, columns)
         x, y = left + column * (PANEL_IN + between), bottom + (rows - 1 - row) * (row_height + row_gap)
         axes = axes_at(figure, x, y + DIAGRAM_IN + gap, PANEL_IN, PANEL_IN)
-        render.style_axes(axes)
+        artists.style_axes(axes)
         below = axes_at(figure, x, y, PANEL_IN, DIAGRAM_IN)
         style_diagram(below, "time [s]", f"{error} error [km]")
         if column > 0:
@@ -231,39 +231,39 @@ def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[
     axes.set_ylim(*limits)
 
 
-def _common_frame(paths: Mapping[str, EpisodePaths]) -> render.Frame:
+def _common_frame(paths: Mapping[str, EpisodePaths]) -> artists.Frame:
     """A square that holds all platforms, true targets and discs of all episodes; estimates may fall outside."""
     discs = next(iter(paths.values())).discs
     tracks = [path for episode in paths.values() for path in (episode.stations, episode.targets)]
-    tracks.append(render.circles(discs[:, :2], discs[:, 2]))
-    return render.grow(None, 1e-3 * np.concatenate([np.reshape(path, (-1, 2)) for path in tracks]), 1.0)
+    tracks.append(artists.circles(discs[:, :2], discs[:, 2]))
+    return artists.grow(None, 1e-3 * np.concatenate([np.reshape(path, (-1, 2)) for path in tracks]), 1.0)
 
 
-def _panel(axes: Axes, episode: EpisodePaths, frame: render.Frame) -> None:
+def _panel(axes: Axes, episode: EpisodePaths, frame: artists.Frame) -> None:
     stations, targets, estimates = (np.asarray(path) for path in episode[:3])
     colors = [series_color(j) for j in range(targets.shape[1])]
-    render.set_limits(axes, frame)
-    render.add_discs(axes).set_verts(list(1e-3 * render.circles(episode.discs[:, :2], episode.discs[:, 2])))
+    artists.set_limits(axes, frame)
+    artists.add_discs(axes).set_verts(list(1e-3 * artists.circles(episode.discs[:, :2], episode.discs[:, 2])))
     if episode.standoff_m > 0.0:
-        rings_about = render.add_lines(axes, colors, 1.2, alpha=0.8)
-        rings_about.set_linestyle(render.RING_LINE)
-        rings_about.set_segments(list(1e-3 * render.circles(targets[-1], episode.standoff_m)))
-    render.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(_segments(stations))
-    render.add_lines(axes, colors, 1.8).set_segments(_segments(targets))
-    render.add_ellipses(axes, colors).set_verts(list(1e-3 * render.ellipses(estimates[-1], episode.final_cov)))
-    names = [render.name_tag(axes, text, INK) for text in render.station_names(stations.shape[1], episode.reference)]
+        rings_about = artists.add_lines(axes, colors, 1.2, alpha=0.8)
+        rings_about.set_linestyle(artists.RING_LINE)
+        rings_about.set_segments(list(1e-3 * artists.circles(targets[-1], episode.standoff_m)))
+    artists.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(_segments(stations))
+    artists.add_lines(axes, colors, 1.8).set_segments(_segments(targets))
+    artists.add_ellipses(axes, colors).set_verts(list(1e-3 * artists.ellipses(estimates[-1], episode.final_cov)))
+    names = [artists.name_tag(axes, text, INK) for text in artists.station_names(stations.shape[1], episode.reference)]
     for state, name in zip(_final_states(stations), names, strict=True):
-        render.place_dart(axes.plot([], [], **render.marker(INK))[0], state)
-        render.place_name(name, state, stations[-1].mean(0), frame)
-    render.part_names(names, frame)
+        artists.place_dart(axes.plot([], [], **artists.marker(INK))[0], state)
+        artists.place_name(name, state, stations[-1].mean(0), frame)
+    artists.part_names(names, frame)
     numbers = []
     for j, (state, color) in enumerate(zip(_final_states(targets), colors, strict=True)):
-        render.place_dart(axes.plot([], [], **render.marker(color))[0], state)
-        numbers.append(render.name_tag(axes, str(j + 1), color))
-        render.place_number(numbers[j], state, stations[-1, episode.reference])
-    rings = [axes.plot([], [], **render.ring(color, 12.0))[0] for color in colors]
-    notes = [render.name_tag(axes, "", color) for color in colors]
-    render.place_estimates(rings, notes, stations[-1, episode.reference], estimates[-1], frame)
+        artists.place_dart(axes.plot([], [], **artists.marker(color))[0], state)
+        numbers.append(artists.name_tag(axes, str(j + 1), color))
+        artists.place_number(numbers[j], state, stations[-1, episode.reference])
+    rings = [axes.plot([], [], **artists.ring(color, 12.0))[0] for color in colors]
+    notes = [artists.name_tag(axes, "", color) for color in colors]
+    artists.place_estimates(rings, notes, stations[-1, episode.reference], estimates[-1], frame)
     for number, note in zip(numbers, notes, strict=True):
         _clear(number, note)
 

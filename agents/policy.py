@@ -70,9 +70,11 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.mobile_placement import MOBILE
     from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
-    from agents.radar_policies import RADAR
+    from agents.radar_policies import radar_makers
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
+    if isinstance(scenario, PassiveRadar):
+        return {**radar_makers(scenario), "random": STEADY["random"]}
     searching = {**GREEDY, **PLANNERS}
     families = {
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},
@@ -81,7 +83,6 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
         ManeuveringTarget: {**FIXED, **OPEN_BASELINE, **FIX_GREEDY, **FIX_SEARCHES},
         RadarPlacement: {**PLACEMENT, "random": STEADY["random"]},
         MobilePlacement: {**MOBILE, "random": STEADY["random"]},
-        PassiveRadar: {**RADAR, "random": STEADY["random"]},
         AngleFusion: {**PAPER_IN_SPACE, **STEADY, **IN_SPACE, **GREEDY_IN_SPACE, **PLANNERS_IN_SPACE},
     }
     return next((makers for family, makers in families.items() if isinstance(scenario, family)), STEADY)

@@ -1,6 +1,6 @@
 """Policies of a passive radar: which transmitters to listen to, and where a receiver that moves should fly.
 
-All decide from the belief, except the oracles. Promised errors are those of `agents.prediction_sums`.
+All decide from the belief, except the oracles. Promised errors are those of `passive_env.radar_promise`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from agents.policy import Policy
-from agents.prediction_sums import Blockage, Outlook, SumPrediction, everyone
+from agents.policy import Policy, sees_world
 from passive_env.core import World
+from passive_env.radar_promise import Ahead, Blockage, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
+from passive_env.steering import towards
 from trackers.compiled import kernel
 from trackers.range_sum import range_sum_row
 
@@ -59,7 +60,7 @@ class Selection:
 
 
 class Fixed(Selection):
-    """Listens to the same transmitters all the time: the first of the pool; of the paper's sites, all there are."""
+    """Listens to the same transmitters all the time, the first ones of the pool: of the paper's sites to all."""
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
@@ -164,13 +165,13 @@ class BestFixed(Selection):
 
     def __init__(self, scenario: Any):
         super().__init__(scenario)
-        self._prediction = SumPrediction(scenario, scenario.steps)
+        self._prediction = SumPrediction(scenario, scenario.steps, "position_std")
         self._share = scenario.echo_probability * (1.0 - scenario.stretches.share)
         self._plan = np.empty(0, dtype=int)
 
     def reset(self, belief: RadarBelief) -> None:
         """Choose."""
-        outlook = everyone(belief, self._scenario.steps)
+        outlook = everyone(belief, self._prediction.ahead)
         self._plan = self._prediction(belief, outlook._replace(if_clear=self._share * outlook.if_clear)).argmin(axis=1)
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
@@ -186,34 +187,56 @@ class Greedy(Selection):
 
     Args:
         scenario: what to act in.
-        outlook: (belief, scans) who will answer; None: what the belief in blocked transmitters lets expect.
+        outlook: (belief, ahead) who will answer; None: what the belief in blocked transmitters lets expect.
         scans: looked ahead.
-        criterion: see `agents.prediction_sums.CRITERIA_SUMS`.
         waits: whether retuning is known to take its time.
+        prediction: further settings of `passive_env.radar_promise.SumPrediction`.
     """
 
     def __init__(
-        self, scenario: Any, outlook: Callable[[RadarBelief, int], Outlook] | None = None, scans: int = 1,
-        criterion: str = "position_std", waits: bool = True,
+        self, scenario: Any, outlook: Callable[[RadarBelief, Ahead], Outlook] | None = None, scans: int = 1,
+        waits: bool = True, **prediction: Any,
     ):  # fmt: skip
         super().__init__(scenario)
         self._outlook = Blockage(scenario) if outlook is None else outlook
-        self._prediction, self._waits = SumPrediction(scenario, scans, criterion), waits
+        self._prediction, self._waits = SumPrediction(scenario, scans, **prediction), waits
 
     def costs(self, belief: RadarBelief) -> np.ndarray:
         """Promised error [e, c] of every combination."""
-        outlook = self._outlook(belief, self._prediction.scans)
-        return self._prediction(belief, outlook, waits=self._waits)
+        return self._prediction(belief, self._outlook(belief, self._prediction.ahead), waits=self._waits)
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
         return self.costs(belief).argmin(axis=1)
 
 
-def not_missed(belief: RadarBelief, scans: int) -> Outlook:
+def not_missed(belief: RadarBelief, ahead: Ahead) -> Outlook:
     """Every transmitter answers but those whose last miss is less than `SKIP_S` ago; of these rather the earlier."""
     doubt = 1.0 - 1e-3 * belief.since_miss_s / SKIP_S
-    return everyone(belief, scans)._replace(blocked=np.where(belief.since_miss_s < SKIP_S, doubt, 0.0))
+    return everyone(belief, ahead)._replace(blocked=np.where(belief.since_miss_s < SKIP_S, doubt, 0.0))
+
+
+class Hysteresis(Greedy):
+    """Greedy without regard to retuning that keeps its choice unless another promises clearly less.
+
+    Args:
+        scenario: what to act in.
+        advantage: by which share the other one's error must be less.
+        settings: as of `Greedy`.
+    """
+
+    def __init__(self, scenario: Any, advantage: float = 0.1, **settings: Any):
+        super().__init__(scenario, waits=False, **settings)
+        self._least = -math.log1p(-advantage)
+        self._member = np.zeros((scenario.pool, len(self._combinations)))
+        self._member[self._combinations.T, np.arange(len(self._combinations))] = 1.0
+
+    def choose(self, belief: RadarBelief) -> np.ndarray:
+        """Numbers [e] of the combinations to listen to."""
+        costs = self.costs(belief)
+        rows, best = np.arange(len(costs)), costs.argmin(axis=1)
+        kept = (belief.chosen @ self._member).argmax(axis=1)
+        return np.where(costs[rows, best] < costs[rows, kept] - self._least, best, kept)
 
 
 class Oracle(Greedy):
@@ -229,24 +252,166 @@ class Oracle(Greedy):
         """Look at the truth."""
         self._world = world
 
-    def _known(self, belief: RadarBelief, scans: int) -> Outlook:
-        blocked = self._world.tape.blocked
-        ahead = self._world.step[:, None] + np.arange(1, scans + 1)
-        later = blocked[np.arange(len(blocked))[:, None], np.minimum(ahead, blocked.shape[1] - 1)]
-        share = np.where(later, 0.0, self._scenario.echo_probability if scans > 1 else 1.0)
+    def _known(self, belief: RadarBelief, ahead: Ahead) -> Outlook:
+        hidden = self._world.tape.blocked
+        later = self._world.step[:, None] + 1 + ahead.scans * np.arange(ahead.instants)
+        clear = ~hidden[np.arange(len(hidden))[:, None], np.minimum(later, hidden.shape[1] - 1)]
+        share = self._scenario.echo_probability * clear
         return Outlook(np.zeros_like(belief.blocked_probability), share, share)
 
 
-RADAR: dict[str, Callable[[Any, int], Policy]] = {
-    "fixed": lambda scenario, seed: Fixed(scenario),
+# -- a receiver that moves ---------------------------------------------------------------------------------------------
+
+
+class Moving:
+    """A receiver that flies by one rule and listens by another policy.
+
+    Args:
+        scenario: what to act in.
+        selection: whom to listen to.
+        heading: (belief) level headings [e] rad to turn to; None: circles where it is.
+    """
+
+    def __init__(self, scenario: Any, selection: Selection, heading: Callable[[RadarBelief], np.ndarray] | None):
+        self._selection, self._heading = selection, heading
+        self._turn = math.radians(scenario.max_turn_rate_deg_s) * scenario.step_s
+
+        self.needs_world = sees_world(selection)
+
+    def see(self, world: World) -> None:
+        """Let an oracle that selects look at the truth."""
+        show: Any = self._selection
+        show.see(world)
+
+    def reset(self, belief: RadarBelief) -> None:
+        """Begin episodes."""
+        self._selection.reset(belief)
+
+    def act(self, belief: RadarBelief, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, a]: a turn, then scores."""
+        commands = self._selection.act(belief, observation)
+        if self._heading is None:
+            commands[:, 0] = 1.0
+        else:
+            commands[:, :1] = towards(self._heading(belief)[:, None], belief.platforms, self._turn)
+        return commands
+
+
+def pursuit(belief: RadarBelief) -> np.ndarray:
+    """Headings [e] rad to the nearest point of time at which the receiver can meet the target that flies straight on.
+
+    A target that it cannot meet is aimed at where it will be after the time that the way to it takes.
+    """
+    receiver, x = belief.platforms[:, 0], belief.mean[:, 0]
+    d = receiver.shape[1] // 2
+    line, v = x[:, :2] - receiver[:, :2], x[:, d : d + 2]
+    speed = np.linalg.norm(receiver[:, d : d + 2], axis=1)
+    a, b, c = np.square(v).sum(1) - speed**2, (line * v).sum(1), np.square(line).sum(1)
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    slow = np.where(a < 0.0, (-b - root) / np.where(a < 0.0, a, -1.0), np.inf)  # the target is the slower one
+    fast = c / np.where(root > b, root - b, np.nan)
+    time = np.where(a < 0.0, slow, np.where((b < 0.0) & (b * b >= a * c), fast, np.inf))
+    time = np.where(np.isfinite(time), time, np.sqrt(c) / np.maximum(speed, 1e-9))
+    aim = line + time[:, None] * v
+    return np.arctan2(aim[:, 1], aim[:, 0])
+
+
+class HeadingSearch:
+    """Headings on which the best combination promises the least error, averaged over the time looked ahead.
+
+    Args:
+        scenario: what to act in.
+        scans: looked ahead.
+        together: scans that are taken as one.
+        headings: candidates, evenly round, besides `pursuit`.
+        every: steps between two searches.
+    """
+
+    def __init__(self, scenario: Any, scans: int = 60, together: int = 10, headings: int = 12, every: int = 5):
+        self._scenario, self._every, self._count = scenario, every, headings
+        self._prediction = SumPrediction(scenario, scans, together=together, cases=False)
+        self._outlook = Blockage(scenario)
+        self._held = np.empty(0)
+
+    def __call__(self, belief: RadarBelief) -> np.ndarray:
+        """Headings [e] rad."""
+        due = (self._scenario.steps - belief.steps_left) % self._every == 0
+        if len(self._held) != len(due) or due.any():
+            found = self._search(belief)
+            self._held = np.where(due, found, self._held) if len(self._held) == len(due) else found
+        return self._held
+
+    def _search(self, belief: RadarBelief) -> np.ndarray:
+        turn = 2.0 * math.pi * np.arange(self._count) / self._count
+        lead = pursuit(belief)
+        offered = np.concatenate([lead[:, None], lead[:, None] + turn[1:]], axis=1)
+        outlook = self._outlook(belief, self._prediction.ahead)
+        costs = [self._prediction(belief, outlook, receiver=self._way(belief, to)).min(axis=1) for to in offered.T]
+        return offered[np.arange(len(lead)), np.argmin(costs, axis=0)]
+
+    def _way(self, belief: RadarBelief, heading: np.ndarray) -> np.ndarray:
+        """Places [e, h, d] of receivers that turn to a heading [e] at once."""
+        state = belief.platforms[:, 0].copy()
+        d = state.shape[1] // 2
+        speed = np.linalg.norm(state[:, d : d + 2], axis=1)
+        state[:, d], state[:, d + 1] = speed * np.cos(heading), speed * np.sin(heading)
+        return straight_on(state, self._prediction.times_s)
+
+
+# -- by name -----------------------------------------------------------------------------------------------------------
+
+HELD: dict[str, Any] = {"scans": 10, "together": 2, "cases": False}
+"""Search among combinations that are kept for ten scans, the time of retuning included."""
+
+Maker = Callable[[Any, int], Policy]
+
+RULES: dict[str, Maker] = {
     "best_fixed": lambda scenario, seed: BestFixed(scenario),
     "angle": lambda scenario, seed: ByShape(scenario, "angle"),
     "triangle": lambda scenario, seed: ByShape(scenario, "triangle"),
     "nearest": lambda scenario, seed: ByShape(scenario, "nearest"),
     "round_robin": lambda scenario, seed: RoundRobin(scenario),
     "repeat": lambda scenario, seed: Repeat(scenario),
+    "rule": lambda scenario, seed: Repeat(scenario),
+}
+"""Makers (scenario, seed) of the rules; "rule" is the strongest of them, the one that repeats what answered."""
+
+SEARCHES: dict[str, Maker] = {
     "greedy": lambda scenario, seed: Greedy(scenario, everyone, waits=False),
     "skip": lambda scenario, seed: Greedy(scenario, not_missed, waits=False),
-    "bayes": lambda scenario, seed: Greedy(scenario),
+    "bayes": lambda scenario, seed: Greedy(scenario, waits=False),
     "oracle": lambda scenario, seed: Oracle(scenario),
 }
+"""Makers of searches one scan ahead, without regard to retuning."""
+
+RETUNING: dict[str, Maker] = {
+    "hysteresis": lambda scenario, seed: Hysteresis(scenario),
+    "hold10": lambda scenario, seed: Greedy(scenario, **HELD),
+    "oracle": lambda scenario, seed: Oracle(scenario, **HELD),
+}
+"""Makers of those that know that retuning takes time."""
+
+
+def _moving(heading: Callable[[Any], Any]) -> Maker:
+    return lambda scenario, seed: Moving(scenario, Greedy(scenario, waits=False), heading(scenario))
+
+
+MOVING: dict[str, Maker] = {
+    "hold": _moving(lambda scenario: None),
+    "pursuit": _moving(lambda scenario: pursuit),
+    "rule": _moving(lambda scenario: pursuit),
+    "planner": _moving(HeadingSearch),
+    "oracle": lambda scenario, seed: Moving(scenario, Oracle(scenario), pursuit),
+}
+"""Makers of what moves; all listen as "bayes" does, which flies straight on, the oracle as the oracle does."""
+
+
+def radar_makers(scenario: Any) -> dict[str, Maker]:
+    """Makers by name of all that can act in a scenario."""
+    fixed = "fixed" if scenario.sites == "random" else "paper"
+    makers: dict[str, Maker] = {fixed: lambda scenario, seed: Fixed(scenario), **RULES, **SEARCHES}
+    if scenario.retune_delay_s > 0.0:
+        makers |= RETUNING
+    if scenario.moves:
+        makers |= {"straight": makers["bayes"], **MOVING}
+    return makers

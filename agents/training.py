@@ -33,6 +33,7 @@ from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_d
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
+from agents.transmitter_network import TransmitterPolicy, network_settings
 from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
@@ -274,14 +275,14 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     preset = run.preset
     algorithm = ALGORITHMS[run.algo]
     learner: Any = algorithm.learner
-    truth = {} if env.truth is None else {"truth_size": len(env.truth.fields)}
+    network, more = _network(run, env)
     model = learner(
-        AsymmetricPolicy if truth else algorithm.network,
+        network,
         env,
         seed=run.seed,
         device=run.device,
         learning_rate=LinearDecay(preset["learning_rate"]),
-        policy_kwargs={"net_arch": list(preset["net_arch"]), **truth, **preset.get("policy", {})},
+        policy_kwargs={"net_arch": list(preset["net_arch"]), **more, **preset.get("policy", {})},
         tensorboard_log=str(run.folder / "tensorboard"),
         **algorithm.arguments(preset, run.scenario.steps, run.envs),
     )
@@ -291,6 +292,15 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     if "imitation" in preset:
         imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
     return model
+
+
+def _network(run: Run, env: Sb3VecEnv) -> tuple[Any, dict[str, Any]]:
+    """The policy's class, or its name, and settings that follow from the scenario."""
+    if env.truth is not None:
+        return AsymmetricPolicy, {"truth_size": len(env.truth.fields)}
+    if "network" in run.preset:
+        return TransmitterPolicy, {"layout": network_settings(run.training_scenario)}
+    return ALGORITHMS[run.algo].network, {}
 
 
 def begin_with(model: BaseAlgorithm, action: Sequence[float]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -144,10 +145,12 @@ class RadarObservation:
         transmitterN.blocked_probability                  1
         [transmitterN.wait]                               s     time until an echo can come / the retuning delay
         [transmitterN.log_noise]                          m     log(standard deviation of its range sum / nominal)
+        [combinationC.log_promise]                        m     log(error it promises / least error promised)
 
     A direction of cosine −1 is that of a target between transmitter and receiver, whose range sum tells nothing of
-    where; at cosine +1 it tells the range twice. The transmitters' fields come last, `per_transmitter` each: a
-    network may be shared between them. Values are clipped to ±5.
+    where; at cosine +1 it tells the range twice. The transmitters' fields, `per_transmitter` each, come after those
+    of the track and the receiver, which are `shared`: a network may be shared between transmitters, and between
+    combinations of them. Values are clipped to ±5.
 
     Args:
         dimensions: 2 or 3.
@@ -156,17 +159,26 @@ class RadarObservation:
         retune_delay_s: s.
         std_m: nominal standard deviation of a range sum.
         std_varies: whether it differs with the ranges.
+        promise: [e, c] log of the error that each combination promises, of beliefs; None: not observed.
+        combinations: how many there are.
     """
 
     def __init__(
-        self, dimensions: int, pool: int, steps: int, moves: bool, retune_delay_s: float, std_m: float, std_varies: bool
-    ):
+        self, dimensions: int, pool: int, steps: int, moves: bool, retune_delay_s: float, std_m: float,
+        std_varies: bool, promise: Callable[[RadarBelief], np.ndarray] | None = None, combinations: int = 0,
+    ):  # fmt: skip
         shared = tuple(_shared_fields(dimensions, moves))
         own = [tuple(_transmitter_fields(n, dimensions, retune_delay_s > 0.0, std_varies)) for n in range(pool)]
-        self.fields = shared + tuple(field for block in own for field in block)
+        named = shared + tuple(field for block in own for field in block)
+        self.promised = combinations if promise is not None else 0
+        self.fields = named + tuple(
+            Field(f"combination{c}.log_promise", "m", "log(error it promises / least error promised)")
+            for c in range(self.promised)
+        )
+        self._promise = promise
         self.shared, self.per_transmitter = len(shared), len(own[0])
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
-        self._like = np.empty(len(self.fields), dtype=np.float32)
+        self._like = np.empty(len(named), dtype=np.float32)
         self._steps = float(steps)
         self._limits = np.array([float(moves), retune_delay_s, std_m, float(std_varies)])
         self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
@@ -174,11 +186,16 @@ class RadarObservation:
     def __call__(self, belief: RadarBelief) -> Any:
         """Observation [e, o] float32 inside the space."""
         b = belief
-        return _observe(
+        seen = _observe(
             b.steps_left / self._steps, b.platforms, b.mean, b.cov, b.last_action, b.transmitters, b.chosen, b.wait_s,
             b.answered, b.missed, b.since_answer_s, b.since_miss_s, b.blocked_probability, b.std, b.statistic,
             b.maneuver, self._limits, self._like,
         )  # fmt: skip
+        if self._promise is None:
+            return seen
+        promised = self._promise(belief)
+        more = np.minimum(promised - promised.min(axis=1, keepdims=True), LIMIT)
+        return np.concatenate([seen, more.astype(np.float32)], axis=1)
 
     def mirrored(self, observation: np.ndarray) -> np.ndarray:
         """Observations [..., o] of the mirrored worlds: left is right."""

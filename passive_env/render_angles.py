@@ -18,9 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from passive_env.core import Simulation, World
-from passive_env.palette import BLUE, GRID, INK, MUTED, ORANGE, VERMILION
-from passive_env.render import (
+from passive_env.artists import (
     ELLIPSE_STD,
     RING_LINE,
     Frame,
@@ -39,6 +37,8 @@ from passive_env.render import (
     set_limits,
     style_axes,
 )
+from passive_env.core import Simulation, World
+from passive_env.palette import BLUE, GRID, INK, MUTED, ORANGE, VERMILION
 from trackers import AnglePdaf
 from trackers.angle_contract import AngleScan
 from trackers.angle_filter import AngleFilter

@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from passive_env.artists import Frame, ellipses, metres, ring
 from passive_env.core import Simulation, World
 from passive_env.palette import BLUE, GRID, INK, VERMILION
-from passive_env.render import Frame, Scene, ellipses, metres, ring
+from passive_env.render import Scene
 
 PLAN_BOX = (0.085, 0.175, 0.60, 0.745)
 ACCELERATION_BOX = (0.76, 0.63, 0.22, 0.22)

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from passive_env.artists import bottom_legend, kilometres, ring
 from passive_env.core import World
 from passive_env.palette import BLUE, INK
 from passive_env.placement import Task
-from passive_env.render import bottom_legend, kilometres, ring
 from passive_env.render_placement import (
     AREA,
     COURSE,

@@ -14,10 +14,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from passive_env.artists import bottom_legend, kilometres, style_axes
 from passive_env.core import World
 from passive_env.palette import BLUE, GRID, INK, MUTED
 from passive_env.placement import Task, representative_courses, site
-from passive_env.render import bottom_legend, kilometres, style_axes
 
 MAP_BOX, HEIGHTS_BOX = (0.1, 0.36, 0.87, 0.58), (0.1, 0.15, 0.87, 0.14)
 """Left, bottom, width, height of map and heights as shares of the picture."""

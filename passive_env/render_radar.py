@@ -19,12 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from passive_env.core import Simulation, World
-from passive_env.kinematics import plan_view
-from passive_env.palette import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, VERMILION
-from passive_env.render import (
+from passive_env.artists import (
     Frame,
-    Scene,
     bottom_legend,
     ellipses,
     grow,
@@ -35,6 +31,10 @@ from passive_env.render import (
     set_limits,
     zone_samples,
 )
+from passive_env.core import Simulation, World
+from passive_env.kinematics import plan_view
+from passive_env.palette import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, VERMILION
+from passive_env.render import Scene
 from trackers.ellipse_intersection import intersect
 from trackers.gaussian import Gaussian
 

@@ -23,12 +23,12 @@ from agents.evaluation import fly as fly_policy
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.angle_sensors import CLEAN_DENSITY
+from passive_env.artists import Frame
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.angle_fusion import PAPER_PLATFORMS, PAPER_TARGET, AngleFusion
 from passive_env.core import Simulation, map_rows
 from passive_env.flights import load_flights
 from passive_env.kinematics import turn_and_climb
-from passive_env.render import Frame
 from passive_env.render_angles import AngleScene, look_of
 from trackers import ANGLE_TRACKERS, AngleEkf, AnglePdaf
 from trackers.angle_pdaf import MAX_RETURNS

@@ -541,7 +541,7 @@ def test_discs_and_rings_are_drawn():
 
 
 def test_the_only_platform_is_no_reference():
-    from passive_env.render import legend_samples, station_names, zone_samples
+    from passive_env.artists import legend_samples, station_names, zone_samples
 
     assert station_names(1) == ["platform"]
     assert station_names(2) == station_names(2, Ownship.reference) == ["S1", "S2 (ref.)"]

@@ -314,6 +314,24 @@ def test_coasts_without_an_echo():
     assert (found.log_likelihood, found.statistic, found.maneuver, found.used.any()) == (0.0, 0.0, False, False)
 
 
+def test_echoes_come_and_go():
+    """The third transmitter falls silent for 60 s, then the second as well for 20 s: honest all the way."""
+    rng = np.random.default_rng(10)
+    path = fly(rng, 200, 160)
+    scans = hear(rng, path, GOOD, GOOD_RECEIVER)
+    heard = np.ones(scans.valid.shape, bool)
+    heard[:, 60:120, 2] = heard[:, 90:110, 1] = False
+    tracks, _ = follow(RangeSumEkf(), scans._replace(valid=heard))
+    low, high = mean_band(6, 200)
+    errors = []
+    for second in (59, 89, 109, 160):
+        state = tracks[second - 10]
+        assert low < nees(state.mean, state.cov, path[:, second]).mean() < high
+        errors.append(np.linalg.norm(state.mean[:, :2] - path[:, second, :2], axis=-1).mean())
+    assert errors[0] < errors[1] < errors[2]
+    assert errors[3] < 1.2 * errors[0]
+
+
 def test_a_sum_below_the_baseline_is_not_used():
     sums = range_sum(TARGET[:3], POOR_RECEIVER, POOR)
     sums[1] = np.linalg.norm(POOR[1]) - 7.0 * STD_M

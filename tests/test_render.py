@@ -10,18 +10,8 @@ import numpy as np
 import pytest
 
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.render import (
-    ELLIPSE_STD,
-    Frame,
-    Trail,
-    Viewer,
-    edge_points,
-    ellipses,
-    grow,
-    hypotheses_of,
-    kilometres,
-    metres,
-)
+from passive_env.artists import ELLIPSE_STD, Frame, edge_points, ellipses, grow, kilometres, metres
+from passive_env.render import Trail, Viewer, hypotheses_of
 from trackers import Bank, FusedEkf
 
 SHAPE = (800, 800, 3)

@@ -60,7 +60,7 @@ class RangeSumTrack(NamedTuple):
     Attributes:
         mean: [..., 2d] m, m/s.
         cov: [..., 2d, 2d].
-        step_s: [...] or one number, the last prediction's step, which a maneuver test may take back.
+        step_s: [...] s, of the last prediction, which a maneuver test may repeat with more noise.
     """
 
     mean: Any

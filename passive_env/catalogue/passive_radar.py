@@ -23,6 +23,7 @@ from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, plan_view, random_maneuvers, turn, turn_and_climb
 from passive_env.radar_metrics import RadarFigures
 from passive_env.radar_observation import RadarObservation
+from passive_env.radar_promise import Promise
 from passive_env.radar_sensors import Receiver, SumReceiver
 from passive_env.radar_simulation import RadarSimulation
 from passive_env.radar_tape import Echoes, RadarTape
@@ -155,6 +156,9 @@ class PassiveRadar(TrackingScenario):
     lost_nees: float = number(27.9, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 6 degrees)")
     actions: str = choice(
         "continuous", ("continuous", "headings", "discrete"), "Box of scores and a turn or heading, or combinations"
+    )
+    promised_scans: int = integer(
+        0, 0, 100, "the error that each combination promises if it is kept for so many scans is observed; 0: it is not"
     )
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_horizontal_error: float = number(1.0, 0.0, 1e6, "weight")
@@ -294,7 +298,8 @@ class PassiveRadar(TrackingScenario):
         """Observation model."""
         return RadarObservation(
             self.dimensions, self.pool, self.steps, self.moves, self.retune_delay_s, self.range_sum_std_m,
-            self.std_range_m > 0.0,
+            self.std_range_m > 0.0, Promise(self, self.promised_scans) if self.promised_scans else None,
+            len(self.combinations),
         )  # fmt: skip
 
     def make_truth_observation(self) -> RadarTruthObservation:

@@ -6,7 +6,7 @@ The tracker of range sums is predicted along an expected path, from scan to scan
 
 where pᵢ is the probability that transmitter i answers (information reduction). How it goes on depends on whether a
 transmitter is blocked now, for that lasts: the promise is the mean over all cases of who is, weighted with their
-probabilities.
+probabilities, or, to save time, that of the case in between.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CRITERIA_SUMS = ("position_std", "log_position_std", "position_variance")
 """What is averaged over scans and cases: √tr C of the position's covariance C, its logarithm, tr C."""
 
 MOST_CASES = 16
-"""Of larger combinations the mean probabilities of an answer are used, not all cases of who is blocked."""
+"""With more cases than these only the one in between is weighed."""
 
 LARGEST = 1e300
 
@@ -34,7 +34,7 @@ BLOCK = 64
 
 
 class Outlook(NamedTuple):
-    """Who is expected to answer in the h scans to come; leading axes broadcast.
+    """Who is expected to answer at the h instants to come; leading axes broadcast.
 
     Attributes:
         blocked: [e, n] probability of being blocked at the first of them.
@@ -91,15 +91,16 @@ def lay_out(path, receiver, sites, limits, rows, var, d):
 @kernel("(y,y),(h,d),(h,d),(n,d),(n),(n),(h,n),(h,n),(c,k),(l),(w)->(c)", "FFFFFFFFIFFF")
 def _promises(P, path, receivers, sites, wait, blocked, if_clear, if_blocked, combinations, limits, noise, cost):
     (h, d), n, k = path.shape, sites.shape[0], combinations.shape[1]
-    T, kind = limits[0], int(limits[4])
+    T, kind, weighed, together = limits[0], int(limits[4]), limits[5] > 0.0, int(limits[6])
+    span = T * together  # between instants, each of which stands for some scans
     rows, var, begin = np.empty((h, n, d)), np.empty((h, n)), np.empty((2 * d, 2 * d))
     trial, x = np.empty((2 * d, 2 * d)), np.zeros((2, 2 * d))
     for j in range(h):
         lay_out(path[j], receivers[j], sites, limits, rows[j], var[j], d)
     begin[:] = P
-    move_axes(x[0], begin, T, d)
-    add_axis_noise(begin, T, noise, 1.0, d)
-    cases = 2**k if 2**k <= MOST_CASES else 1
+    move_axes(x[0], begin, span, d)
+    add_axis_noise(begin, span, noise, 1.0, d)
+    cases = 2**k if weighed and 2**k <= MOST_CASES else 1
     for c in range(combinations.shape[0]):
         cost[c] = 0.0
         for case in range(cases):
@@ -112,26 +113,34 @@ def _promises(P, path, receivers, sites, wait, blocked, if_clear, if_blocked, co
             trial[:] = begin
             for j in range(h):
                 if j > 0:
-                    move_axes(x[0], trial, T, d)
-                    add_axis_noise(trial, T, noise, 1.0, d)
+                    move_axes(x[0], trial, span, d)
+                    add_axis_noise(trial, span, noise, 1.0, d)
                 for m in range(k):
                     i = combinations[c, m]
                     share = if_blocked[j, i] if (case >> m) & 1 else if_clear[j, i]
                     if cases == 1:
                         share = blocked[i] * if_blocked[j, i] + (1.0 - blocked[i]) * if_clear[j, i]
-                    if share > 0.0 and wait[i] - (j + 1) * T < 1e-6 * T:
-                        # after the last scan only the position counts
-                        absorb_sum(trial, rows[j, i], var[j, i] / share, x[1], d, 2 * d if j < h - 1 else d)
+                    tuned = min(max((j + 1) * together - math.ceil(wait[i] / T - 1e-6), 0), together)
+                    if share > 0.0 and tuned > 0:
+                        # after the last instant only the position counts
+                        size = 2 * d if j < h - 1 else d
+                        absorb_sum(trial, rows[j, i], var[j, i] / (share * tuned), x[1], d, size)
                 cost[c] += weight * criterion_of(trial, d, kind) / h
 
 
 # -- who will answer ---------------------------------------------------------------------------------------------------
 
 
-def everyone(belief: RadarBelief, scans: int) -> Outlook:
+class Ahead(NamedTuple):
+    """The instants looked ahead to: so many, each of which stands for some scans."""
+
+    instants: int
+    scans: int
+
+
+def everyone(belief: RadarBelief, ahead: Ahead) -> Outlook:
     """Every transmitter that is listened to answers."""
-    blocked = np.zeros_like(belief.blocked_probability)
-    return Outlook(blocked, np.ones((scans, 1)), np.zeros((scans, 1)))
+    return Outlook(np.zeros_like(belief.blocked_probability), np.ones((ahead.instants, 1)), np.zeros((1, 1)))
 
 
 class Blockage:
@@ -150,33 +159,23 @@ class Blockage:
         b = belief.blocked_probability
         return b * (1.0 - self.to_clear) + (1.0 - b) * self.to_blocked
 
-    def __call__(self, belief: RadarBelief, scans: int) -> Outlook:
-        """Outlook on some scans; of a single one, cases are whether an echo comes, not whether it could."""
+    def __call__(self, belief: RadarBelief, ahead: Ahead) -> Outlook:
+        """Outlook; on a single scan, cases are whether an echo comes, not whether it could."""
         blocked = self.next(belief)
-        if scans == 1:
+        if ahead == (1, 1):
             return Outlook(1.0 - self.echo * (1.0 - blocked), np.ones((1, 1)), np.zeros((1, 1)))
         clear = self.to_clear / max(self.to_blocked + self.to_clear, 1e-12)
-        same = (1.0 - self.to_blocked - self.to_clear) ** np.arange(scans)[:, None]
+        same = (1.0 - self.to_blocked - self.to_clear) ** (ahead.scans * np.arange(ahead.instants)[:, None])
         return Outlook(blocked, self.echo * (clear + (1.0 - clear) * same), self.echo * clear * (1.0 - same))
 
 
 # -- promises ----------------------------------------------------------------------------------------------------------
 
 
-def expected_path(belief: RadarBelief, scans: int, step_s: float) -> np.ndarray:
-    """Places [e, h, d] of the track at the scans to come, straight on."""
-    return _straight_on(belief.mean[:, 0], scans, step_s)
-
-
-def expected_receiver(belief: RadarBelief, scans: int, step_s: float) -> np.ndarray:
-    """Places [e, h, d] of the receiver at the scans to come, straight on."""
-    return _straight_on(belief.platforms[:, 0], scans, step_s)
-
-
-def _straight_on(state: np.ndarray, scans: int, step_s: float) -> np.ndarray:
+def straight_on(state: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """Places [e, h, d] at times [h] from now of states [e, 2d] that do not turn."""
     d = state.shape[-1] // 2
-    time = step_s * np.arange(1, scans + 1)[:, None]
-    return state[:, None, :d] + time * state[:, None, d:]
+    return state[:, None, :d] + times_s[:, None] * state[:, None, d:]
 
 
 class SumPrediction:
@@ -186,19 +185,28 @@ class SumPrediction:
         scenario: supplies noise, combinations and scans.
         scans: looked ahead.
         criterion: one of `CRITERIA_SUMS`.
+        together: scans that are taken as one, to save time; `scans` is a multiple of it.
+        cases: weigh all cases of who is blocked, or only the one in between.
     Raises:
-        ValueError: fewer than one scan, or an unknown criterion.
+        ValueError: numbers of scans that are not positive integers, or do not fit; an unknown criterion.
     """
 
-    def __init__(self, scenario: Any, scans: int = 1, criterion: str = "position_std"):
-        if isinstance(scans, bool) or not isinstance(scans, (int, np.integer)) or scans < 1:
-            raise ValueError(f"scans = {scans!r}: must be an integer of at least 1")
+    def __init__(
+        self, scenario: Any, scans: int = 1, criterion: str = "log_position_std", together: int = 1, cases: bool = True
+    ):
+        for name, value in (("scans", scans), ("together", together)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+                raise ValueError(f"{name} = {value!r}: must be an integer of at least 1")
+        if scans % together:
+            raise ValueError(f"scans = {scans}: must be a multiple of together = {together}")
         if criterion not in CRITERIA_SUMS:
             raise ValueError(f"criterion {criterion!r}: must be one of {', '.join(CRITERIA_SUMS)}")
-        self.scans, self.step_s = int(scans), float(scenario.step_s)
-        self.combinations = np.ascontiguousarray(scenario.combinations, dtype=np.int64)
+        self.ahead = Ahead(int(scans // together), int(together))
+        self.times_s = scenario.step_s * together * np.arange(1, self.ahead.instants + 1)
+        self._combinations = np.ascontiguousarray(scenario.combinations, dtype=np.int64)
         noise = (scenario.range_sum_std_m, scenario.std_range_m, scenario.std_floor_m)
-        self._limits = np.array([self.step_s, *noise, CRITERIA_SUMS.index(criterion)])
+        rest = (CRITERIA_SUMS.index(criterion), cases, together)
+        self._limits = np.array([scenario.step_s, *noise, *rest], dtype=float)
         self._noise = np.array(scenario.process_noise)
 
     def __call__(
@@ -212,16 +220,33 @@ class SumPrediction:
             path, receiver: [e, h, d] where the target and the receiver will be; None: straight on.
             waits: whether retuning takes its time.
         """
-        h, n = self.scans, belief.transmitters.shape[1]
-        path = expected_path(belief, h, self.step_s) if path is None else path
-        receiver = expected_receiver(belief, h, self.step_s) if receiver is None else receiver
-        shape = (len(belief.mean), h, n)
+        path = straight_on(belief.mean[:, 0], self.times_s) if path is None else path
+        receiver = straight_on(belief.platforms[:, 0], self.times_s) if receiver is None else receiver
+        shape = (len(belief.mean), self.ahead.instants, belief.transmitters.shape[1])
         shares = (np.broadcast_to(part, shape) for part in (outlook.if_clear, outlook.if_blocked))
         wait = belief.wait_s if waits else np.zeros_like(belief.wait_s)
         columns = (belief.cov[:, 0], path, receiver, belief.transmitters, wait, outlook.blocked, *shares)
 
         def weigh(rows: slice) -> np.ndarray:
-            return _promises(*(part[rows] for part in columns), self.combinations, self._limits, self._noise)
+            return _promises(*(part[rows] for part in columns), self._combinations, self._limits, self._noise)
 
         blocks = Blocks(len(belief.mean), block=BLOCK)
         return np.concatenate(blocks.map(weigh, blocks.slices))
+
+
+class Promise:
+    """Logarithm of the error [e, c] that every combination promises if it is kept, by the belief alone.
+
+    Args:
+        scenario: what is acted in.
+        scans: for how long it is kept; of more than three, two are taken as one.
+    """
+
+    def __init__(self, scenario: Any, scans: int):
+        together = 2 if scans > 3 and scans % 2 == 0 else 1
+        self._prediction = SumPrediction(scenario, scans, together=together, cases=scans == 1)
+        self._outlook = Blockage(scenario)
+
+    def __call__(self, belief: RadarBelief) -> np.ndarray:
+        """[e, c] of beliefs."""
+        return self._prediction(belief, self._outlook(belief, self._prediction.ahead))
