@@ -77,6 +77,12 @@ def blocked(uniforms, stretches: Stretches, step_s: float, instants: int) -> Any
     return _blocked(uniforms, np.array([*stretches, stretches.share]), step_s, np.empty(instants))
 
 
+def blocked_next(probability, stretches: Stretches, step_s: float) -> Any:
+    """Probabilities [...] of being blocked a step later, of those [...] now: before anything has been heard."""
+    to_blocked, to_clear = stretches.leaving(step_s)
+    return probability * (1.0 - to_clear) + (1.0 - probability) * to_blocked
+
+
 @helper
 def predict_blocked(b, to_blocked, to_clear):
     """Probability of being blocked after a step in which nothing was heard of the transmitter."""

@@ -20,12 +20,14 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
     Observation: ``Box(-5, 5, (d,), float32)``, a function of the belief only; `observation_fields` names every number,
         `passive_env.observations.TrackObservation` (in space `passive_env.angle_observation.AngleObservation`, of a
         maneuvering target `passive_env.maneuver_observation.ManeuverObservation`, of sensors to be placed
-        `passive_env.placement_observation.PlacementObservation`, of a passive radar
+        `passive_env.placement_observation.PlacementObservation`, of sensors on carriers
+        `passive_env.mobile_observation.MobileObservation`, of a passive radar
         `passive_env.radar_observation.RadarObservation`) lists them with units and scales.
     Action: ``Box(-1, 1, (a,), float32)``, one turn rate per platform as a share of its limit, counter-clockwise +, in
         space then one climb rate per platform, against a maneuvering target one speed per platform
         (``actions="discrete"``: `MultiDiscrete`, three of each); or the place of the next sensor
-        (`passive_env.catalogue.placement.RadarPlacement`); or a score per transmitter
+        (`passive_env.catalogue.placement.RadarPlacement`), or the places that sensors on carriers should go to
+        (`passive_env.catalogue.mobile_placement.MobilePlacement`); or a score per transmitter
         (`passive_env.catalogue.passive_radar.PassiveRadar`).
     Reward: weighted terms (`passive_env.rewards`); ``info["reward_terms"]`` shows each. Default: −log(range error /
         1 km), in space and of a maneuvering target of the position error, mean over targets.

@@ -24,6 +24,7 @@ FAMILIES = {
     "AngleFusion": ROOT / "docs" / "angle_fusion.md",
     "ManeuveringTarget": ROOT / "docs" / "maneuvering_target.md",
     "RadarPlacement": ROOT / "docs" / "radar_placement.md",
+    "MobilePlacement": ROOT / "docs" / "mobile_placement.md",
     "PassiveRadar": ROOT / "docs" / "passive_radar.md",
 }
 """Environments and the documents that describe them."""

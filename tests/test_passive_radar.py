@@ -12,7 +12,7 @@ from agents.evaluation import fly
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Combinations
-from passive_env.blockage import Stretches, blocked
+from passive_env.blockage import Stretches, blocked, blocked_next
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.passive_radar import PAPER_SITES_M, PassiveRadar
 from passive_env.core import map_rows
@@ -247,6 +247,14 @@ def test_the_blockage_belief_is_the_forward_filter_of_what_was_heard():
         listened = [part.answered[e, n] or part.missed[e, n] for part in told]
         expected = forward_filter(listened, answered, s.stretches.share, to_blocked, to_clear, 0.8)
         np.testing.assert_allclose([part.blocked_probability[e, n] for part in told], expected, atol=1e-12)
+
+
+def test_those_not_listened_to_are_as_likely_blocked_as_predicted():
+    simulation, worlds = flown(5, 6)
+    for before, now in itertools.pairwise(world.reports.listening for world in worlds):
+        expected = blocked_next(before.blocked_probability, simulation.scenario.stretches, 1.0)
+        aside = ~now.chosen
+        np.testing.assert_allclose(now.blocked_probability[aside], expected[aside], rtol=1e-12)
 
 
 def test_the_blockage_belief_is_calibrated():

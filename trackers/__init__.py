@@ -17,6 +17,7 @@ from trackers.imm_mie import ImmMie, InputEstimation, Mie
 from trackers.range_sum_contract import RangeSumScan, RangeSumTrack, RangeSumTracker, RangeSumUpdate
 from trackers.range_sum_ekf import RangeSumEkf, RangeSumEkfLiteral
 from trackers.rp_ekf import Bank, RpEkf
+from trackers.scan_fusion import FusedScan, ScanFusion
 
 DISTRIBUTION = "passive-env"
 """Tells this package from another distribution's of the same name."""
@@ -62,6 +63,7 @@ __all__ = [
     "ConvertedFusion",
     "FixTracker",
     "FusedEkf",
+    "FusedScan",
     "Gaussian",
     "Imm3",
     "ImmMie",
@@ -80,6 +82,7 @@ __all__ = [
     "RangeSumUpdate",
     "RpEkf",
     "Scan",
+    "ScanFusion",
     "Tracker",
     "Update",
 ]
