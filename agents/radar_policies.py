@@ -60,11 +60,7 @@ class Selection:
 
 
 class Fixed(Selection):
-<<<<<<< HEAD
     """Listens to the same transmitters all the time, the first ones of the pool: of the paper's sites to all."""
-=======
-    """Listens to the same transmitters all the time: the first of the pool; of the paper's sites, all there are."""
->>>>>>> env7
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
