@@ -14,6 +14,7 @@ Source: sums over exchangeable members as in Zaheer et al., "Deep Sets", NeurIPS
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -142,7 +143,7 @@ class _Encoder(nn.Module):
         super().__init__()
         self.common, self.own = nn.Linear(shared, sizes[0]), nn.Linear(own, sizes[0], bias=False)
         layers: list[nn.Module] = [activation()]
-        for before, after in zip(sizes, sizes[1:], strict=False):
+        for before, after in itertools.pairwise(sizes):
             layers += [nn.Linear(before, after), activation()]
         self.rest = nn.Sequential(*layers)
 

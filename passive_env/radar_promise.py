@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.blockage import blocked_next
 from passive_env.radar_sensors import RadarBelief, distance, sum_std
 from trackers.axis_motion import add_axis_noise, move_axes
 from trackers.compiled import Blocks, helper, kernel
@@ -151,22 +152,17 @@ class Blockage:
     """
 
     def __init__(self, scenario: Any):
-        self.to_blocked, self.to_clear = scenario.stretches.leaving(scenario.step_s)
-        self.echo = float(scenario.echo_probability)
-
-    def next(self, belief: RadarBelief) -> np.ndarray:
-        """Probability [e, n] of being blocked at the next scan."""
-        b = belief.blocked_probability
-        return b * (1.0 - self.to_clear) + (1.0 - b) * self.to_blocked
+        self._stretches, self._step_s, self._echo = scenario.stretches, scenario.step_s, scenario.echo_probability
 
     def __call__(self, belief: RadarBelief, ahead: Ahead) -> Outlook:
         """Outlook; on a single scan, cases are whether an echo comes, not whether it could."""
-        blocked = self.next(belief)
+        blocked = blocked_next(belief.blocked_probability, self._stretches, self._step_s)
         if ahead == (1, 1):
-            return Outlook(1.0 - self.echo * (1.0 - blocked), np.ones((1, 1)), np.zeros((1, 1)))
-        clear = self.to_clear / max(self.to_blocked + self.to_clear, 1e-12)
-        same = (1.0 - self.to_blocked - self.to_clear) ** (ahead.scans * np.arange(ahead.instants)[:, None])
-        return Outlook(blocked, self.echo * (clear + (1.0 - clear) * same), self.echo * clear * (1.0 - same))
+            return Outlook(1.0 - self._echo * (1.0 - blocked), np.ones((1, 1)), np.zeros((1, 1)))
+        to_blocked, to_clear = self._stretches.leaving(self._step_s)
+        clear = to_clear / (to_blocked + to_clear)
+        same = (1.0 - to_blocked - to_clear) ** (ahead.scans * np.arange(ahead.instants)[:, None])
+        return Outlook(blocked, self._echo * (clear + (1.0 - clear) * same), self._echo * clear * (1.0 - same))
 
 
 # -- promises ----------------------------------------------------------------------------------------------------------
