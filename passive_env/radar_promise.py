@@ -121,7 +121,8 @@ def _promises(P, path, receivers, sites, wait, blocked, if_clear, if_blocked, co
                     share = if_blocked[j, i] if (case >> m) & 1 else if_clear[j, i]
                     if cases == 1:
                         share = blocked[i] * if_blocked[j, i] + (1.0 - blocked[i]) * if_clear[j, i]
-                    tuned = min(max((j + 1) * together - math.ceil(wait[i] / T - 1e-6), 0), together)
+                    first = max(math.ceil(wait[i] / T - 1e-6), 1)  # of the scans to come
+                    tuned = min(max((j + 1) * together - first + 1, 0), together)
                     if share > 0.0 and tuned > 0:
                         # after the last instant only the position counts
                         size = 2 * d if j < h - 1 else d
@@ -224,7 +225,8 @@ class SumPrediction:
         columns = (belief.cov[:, 0], path, receiver, belief.transmitters, wait, outlook.blocked, *shares)
 
         def weigh(rows: slice) -> np.ndarray:
-            return _promises(*(part[rows] for part in columns), self._combinations, self._limits, self._noise)
+            with np.errstate(invalid="ignore"):  # of a diverged track the largest error is promised
+                return _promises(*(part[rows] for part in columns), self._combinations, self._limits, self._noise)
 
         blocks = Blocks(len(belief.mean), block=BLOCK)
         return np.concatenate(blocks.map(weigh, blocks.slices))
