@@ -14,9 +14,11 @@ from tqdm import tqdm
 
 from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
+    measure_carriers,
     measure_decisions,
     measure_memory,
     measure_one_platform,
+    measure_passive_radar,
     measure_placements,
     measure_resets,
     measure_single,
@@ -42,6 +44,8 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "two aircraft": measure_two_aircraft,
     "stations": measure_stations,
     "placements": measure_placements,
+    "carriers": measure_carriers,
+    "passive radar": measure_passive_radar,
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,

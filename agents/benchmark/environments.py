@@ -16,7 +16,7 @@ from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
 SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT, MANEUVERS = "TwoStation", "Ownship", "AngleFusion", "ManeuveringTarget"
-PLACEMENT = "RadarPlacement"
+PLACEMENT, CARRIERS, PASSIVE_RADAR = "RadarPlacement", "MobilePlacement", "PassiveRadar"
 
 
 def measure_vector(effort: Effort) -> Section:
@@ -66,6 +66,20 @@ def measure_placements(effort: Effort) -> Section:
     rates = {name: effort.num_envs / float(np.median(taken)) for name, taken in times.items()}
     goals = {"placement_episodes": ">= 5000"}
     return Section([Result(name, rate, "episodes/s", goals.get(name)) for name, rate in rates.items()])
+
+
+def measure_carriers(effort: Effort) -> Section:
+    """Environment steps per second with sensors on carriers, windows as in `measure_vector`."""
+    wide = {"": _begun(effort, None, CARRIERS), "_one_thread": _begun(effort, 1, CARRIERS)}
+    tasks = {f"carriers_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
+    return Section(_rates(tasks, effort, wide[""].scenario.steps, {}))
+
+
+def measure_passive_radar(effort: Effort) -> Section:
+    """Environment steps per second where a receiver chooses transmitters, windows as in `measure_vector`."""
+    wide = {"": _begun(effort, None, PASSIVE_RADAR), "_one_thread": _begun(effort, 1, PASSIVE_RADAR)}
+    tasks = {f"passive_radar_random_actions{suffix}": _window(env, True) for suffix, env in wide.items()}
+    return Section(_rates(tasks, effort, wide[""].scenario.steps, {"passive_radar_random_actions": ">= 300000"}))
 
 
 def _rates(tasks: Mapping[str, Task], effort: Effort, steps: int, goals: Mapping[str, str]) -> list[Result]:
