@@ -70,11 +70,12 @@ def _makers(scenario: Any) -> dict[str, Callable[[Any, int], Policy]]:
     from agents.mobile_placement import MOBILE
     from agents.placement import PLACEMENT
     from agents.planner import FIX_SEARCHES, PLANNERS, PLANNERS_IN_SPACE
+    from agents.radar_planner import RADAR_PLANNERS
     from agents.radar_policies import radar_makers
     from agents.rules import IN_SPACE, ONE_PLATFORM, OPEN_BASELINE, TURN_APART
 
     if isinstance(scenario, PassiveRadar):
-        return {**radar_makers(scenario), "random": STEADY["random"]}
+        return {**RADAR_PLANNERS, **radar_makers(scenario), "random": STEADY["random"]}
     searching = {**GREEDY, **PLANNERS}
     families = {
         TwoStation: {**PAPER, **STEADY, **TURN_APART, **searching},

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from agents.evaluation import fly
 from agents.learned import LearnedPolicy
 from agents.policy import Policy, make_policy, policy_names, sees_world
+from agents.radar_planner import Planner
 from agents.radar_policies import Greedy, Hysteresis, Repeat, RoundRobin, pursuit
 from agents.training import plan, train
 from agents.transmitter_network import TransmitterPolicy, network_settings
@@ -295,6 +296,41 @@ def test_knowing_more_of_blockage_makes_the_median_error_smaller(better, worse):
     gain = logs[1] - logs[0]
     low = gain.mean() - student.ppf(0.999, 95) * gain.std(ddof=1) / math.sqrt(96)
     assert low > 0.0
+
+
+# ------------------------------------------------------------------------------------------------------------ planner
+
+
+@pytest.mark.parametrize("name", ["PassiveRadar", "PassiveRadarRetune"])
+def test_where_nothing_is_lost_the_planner_imagines_what_is_promised(name):
+    """Without blockage and misses every course of events is the one that the promise follows."""
+    scenario = small(name, blocked_min_s=0.0, blocked_max_s=0.0, echo_probability=1.0)
+    _, belief, _ = flown_belief(scenario)
+    promise = SumPrediction(scenario, 6)
+    promised = promise(belief, everyone(belief, promise.ahead))
+    np.testing.assert_allclose(Planner(scenario, 6, samples=3).costs(belief), promised, rtol=1e-9)
+
+
+def test_the_planner_leaves_out_whom_it_takes_for_blocked():
+    scenario = small()
+    _, belief, _ = flown_belief(scenario, 4)
+    blocked = np.zeros_like(belief.std)
+    blocked[:, :4] = 1.0
+    found = chosen(Planner(scenario), belief._replace(blocked_probability=blocked), scenario)
+    assert (found >= 4).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"scans": 0}, "scans = 0: must be an integer"),
+        ({"samples": 1.5}, "samples = 1.5: must be an integer"),
+        ({"threshold": 1.0}, r"threshold = 1.0: must lie in \(0, 1\)"),
+    ],
+)
+def test_wrong_settings_of_the_planner_are_refused(settings, words):
+    with pytest.raises(ValueError, match=words):
+        Planner(small(), **settings)
 
 
 # ------------------------------------------------------------------------------------------------------------- moving
