@@ -46,7 +46,8 @@ is, which would leave two range sums; with the other sign of y the three are the
 
 PAPER_TARGET = (-100e3, 150e3, 10e3, 200.0, -100.0, 0.0)
 PAPER_GUESS = (-80e3, 130e3, 8e3, 0.0, 0.0, 0.0)
-"""State at the first scan of the paper's track, and the guess."""
+PAPER_GUESS_STD_M = 20e3
+"""State at the first scan of the paper's track, and the guess with what it may be off, per level axis."""
 
 LEAST_ANGLE_SIN = 1e-6
 """Sine of the angle between two sites' directions from the receiver below which they count as one line."""
@@ -124,7 +125,9 @@ class PassiveRadar(TrackingScenario):
     clear_min_s: float = number(30.0, 1.0, 1e5, "shortest time between")
     clear_max_s: float = number(60.0, 1.0, 1e5, "longest")
     acquisition_scans: int = integer(10, 1, 100, "scans, all transmitters in turn, from which the track is started")
-    guess_position_std_m: float = number(20e3, 1.0, 1e6, "error of the operator's guess, per level axis")
+    guess_position_std_m: float = number(
+        5e3, 1.0, 1e6, "error of the operator's guess, per level axis; with the paper's course at least 20 km"
+    )
     guess_velocity_std_m_s: float = number(200.0, 0.1, 1e4, "the same of velocity")
     guess_height_std_m: float = number(3e3, 1.0, 1e5, "error of the guessed height, in space")
     guess_climb_std_m_s: float = number(10.0, 0.1, 1e3, "the same of the vertical velocity")
@@ -259,7 +262,9 @@ class PassiveRadar(TrackingScenario):
     @cached_property
     def guess_std(self) -> np.ndarray:
         """[2d] m, m/s of the operator's guess."""
-        position = (self.guess_position_std_m, self.guess_position_std_m, self.guess_height_std_m)
+        least = PAPER_GUESS_STD_M if self.course == "paper" else 0.0
+        level = max(self.guess_position_std_m, least)
+        position = (level, level, self.guess_height_std_m)
         velocity = (self.guess_velocity_std_m_s, self.guess_velocity_std_m_s, self.guess_climb_std_m_s)
         return np.array([*position[: self.dimensions], *velocity[: self.dimensions]])
 
