@@ -397,6 +397,7 @@ def test_the_picture_shows_sensors_as_they_are_placed():
         ({"scored_scans": 51}, "scored_scans = 51: must not exceed scans"),
         ({"nearest_min_m": 40e3}, "nearest_min_m = 40000.0: a target may enter"),
         ({"minimum_range_m": 1e5}, "to stay beyond minimum_range_m = 100000 of every sensor"),
+        ({"range_std_max_m": 1e4}, "beyond 10 range_std_max_m = 100000"),
         ({"tracker": "truth"}, "tracker = 'truth'"),
         ({"flights": "x.csv"}, "add course='flights'"),
     ],

@@ -18,6 +18,9 @@ from passive_env.scenario import number
 TASK_UNIFORMS, COURSE_UNIFORMS = 13, 5
 """Uniform numbers of an episode's task, and of the target's course in it."""
 
+CLEAR_STD = 10.0
+"""Targets stay this many standard deviations of range from sensors that measure it: no measured range is negative."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EntryScenario(CourseScenario):

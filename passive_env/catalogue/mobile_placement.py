@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from passive_env.actions import Continuous, Discrete
-from passive_env.catalogue.entry import COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
+from passive_env.catalogue.entry import CLEAR_STD, COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
 from passive_env.catalogue.placement import LEVELS
 from passive_env.mobile_metrics import MobileFigures
 from passive_env.mobile_observation import MobileObservation
@@ -24,9 +24,6 @@ from passive_env.velocities import Velocities
 from trackers.scan_fusion import MODES, ScanFusion
 
 ACTIONS = ("continuous", "velocities", "discrete")
-
-CLEAR_STD = 10.0
-"""The minimum range is this many standard deviations of range or more, so that no measured range is negative."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from passive_env.actions import Continuous, Discrete
-from passive_env.catalogue.entry import COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
+from passive_env.catalogue.entry import CLEAR_STD, COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
 from passive_env.placement_observation import PlacementObservation
 from passive_env.placement_simulation import PlacementSimulation, PlacementTape
 from passive_env.scenario import choice, integer, number
@@ -79,16 +79,18 @@ class RadarPlacement(EntryScenario):
         self._check_nearest(self.target_speed_max_m_s)
 
     def _check_nearest(self, speed_m_s: float) -> None:
-        """Refuse limits with which a target of this speed could come too close to a sensor."""
+        """Refuse limits with which a target of this speed could come too close, or a measured range be negative."""
         flown = (self.scans - 1) * self.step_s
         stray = STRAY_STD * self.process_noise_m_s2 * self.step_s * flown * math.sqrt(self.scans / 3.0)
         aside = 2.0 * self.entry_distance_m * math.sin(0.5 * math.radians(self.entry_sector_max_deg))
-        needed = self.minimum_range_m + aside + speed_m_s * flown + stray
+        clear = max(self.minimum_range_m, CLEAR_STD * self.range_std_max_m)
+        needed = clear + aside + speed_m_s * flown + stray
         if self.nearest_min_m < needed:
             raise self._error(
                 "nearest_min_m", f"a target may enter {aside:.0f} m from where it is expected and fly "
                 f"{speed_m_s * flown + stray:.0f} m; must be at least {needed:.0f} to stay beyond minimum_range_m = "
-                f"{self.minimum_range_m:g} of every sensor",
+                f"{self.minimum_range_m:g} of every sensor and beyond {CLEAR_STD:g} range_std_max_m = "
+                f"{CLEAR_STD * self.range_std_max_m:g}",
             )  # fmt: skip
 
     def check_flights(self) -> None:
