@@ -69,7 +69,8 @@ def test_every_policy_gives_commands_that_choose_and_depend_on_no_other_episode(
         whole: Any = make_policy(policy_name, scenario)
         alone: Any = make_policy(policy_name, scenario)
         assert isinstance(whole, Policy)
-        for policy, rows in ((whole, slice(None)), (alone, slice(1, 2))):
+        pair: Any = ((whole, slice(None)), (alone, slice(1, 2)))
+        for policy, rows in pair:
             world = map_rows(lambda part, rows=rows: part[rows], env.world)
             if sees_world(policy):
                 policy.see(world)
