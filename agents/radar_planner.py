@@ -93,7 +93,7 @@ class Planner(Selection):
 
     Args:
         scenario: what to act in.
-        scans: looked ahead; None: 10, and where retuning takes its time as many more as that takes.
+        scans: looked ahead.
         samples: courses of events per combination, the same random numbers for all.
         threshold: probability of being blocked beyond which the imagined receiver gives a transmitter up.
         seed: of the random numbers.
@@ -101,12 +101,9 @@ class Planner(Selection):
         ValueError: numbers that are not positive integers, or a threshold outside (0, 1).
     """
 
-    def __init__(
-        self, scenario: Any, scans: int | None = None, samples: int = 16, threshold: float = 0.5, seed: int = 0
-    ):
+    def __init__(self, scenario: Any, scans: int = 10, samples: int = 32, threshold: float = 0.7, seed: int = 0):
         super().__init__(scenario)
         s = scenario
-        scans = 10 + int(np.ceil(s.retune_delay_s / s.step_s)) if scans is None else scans
         for name, value in (("scans", scans), ("samples", samples)):
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
                 raise ValueError(f"{name} = {value!r}: must be an integer of at least 1")

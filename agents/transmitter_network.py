@@ -62,18 +62,22 @@ class TransmitterPolicy(ActorCriticPolicy):
         super().__init__(*arguments, **settings)
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor: Any = _SharedLayers(self.layout, list(self.net_arch), self.activation_fn, self.sharpness)
+        sizes: Any = self.net_arch
+        self.mlp_extractor: Any = _SharedLayers(self.layout, list(sizes), self.activation_fn, self.sharpness)
         self.mlp_extractor.to(self.device)
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
         self.action_net = nn.Identity()  # the shared layers end in scores
         self.mlp_extractor.begin_with_promises()
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        make: Any = self.optimizer_class
+        self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
 class _SharedLayers(nn.Module):
     """From observations to scores [e, a] and to the critic's features."""
+
+    members: torch.Tensor  # [c, n], 1 of those in a combination
 
     def __init__(self, layout: dict[str, Any], sizes: list[int], activation: type[nn.Module], sharpness: float):
         super().__init__()

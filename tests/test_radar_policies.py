@@ -5,6 +5,7 @@ import itertools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def small(name="PassiveRadar", **fields):
     return make_scenario(name, {"steps": 12, **fields})
 
 
-def flown_belief(scenario, episodes=3, steps=8, seed=1):
+def flown_belief(scenario, episodes=3, steps=8, seed=1) -> tuple[Any, Any, Any]:
     """A belief some random decisions after an episode's start, and its observation."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, _ = env.reset(seed=seed)
@@ -43,6 +44,11 @@ def flown_belief(scenario, episodes=3, steps=8, seed=1):
         command = rng.uniform(-1.0, 1.0, (episodes, env.simulation.actions.size))
         observation, *_ = env.step(env.simulation.actions.encode(command, env.belief()))
     return env, env.belief(), observation
+
+
+def known(**fields) -> Any:
+    """A belief of which only some fields are told."""
+    return SimpleNamespace(**fields)
 
 
 def chosen(policy, belief, scenario):
@@ -60,9 +66,11 @@ def test_every_policy_gives_commands_that_choose_and_depend_on_no_other_episode(
     scenario = small(name, dimensions=dimensions)
     env, belief, observation = flown_belief(scenario)
     for policy_name in policy_names(scenario):
-        whole, alone = make_policy(policy_name, scenario), make_policy(policy_name, scenario)
+        whole: Any = make_policy(policy_name, scenario)
+        alone: Any = make_policy(policy_name, scenario)
         assert isinstance(whole, Policy)
-        for policy, rows in ((whole, slice(None)), (alone, slice(1, 2))):
+        pair: Any = ((whole, slice(None)), (alone, slice(1, 2)))
+        for policy, rows in pair:
             world = map_rows(lambda part, rows=rows: part[rows], env.world)
             if sees_world(policy):
                 policy.see(world)
@@ -94,20 +102,20 @@ def test_round_robin_gives_every_combination_as_many_scans():
     policy = RoundRobin(scenario)
     counts = np.zeros(28, dtype=int)
     for left in range(56, 0, -1):
-        counts[policy.choose(SimpleNamespace(steps_left=np.array([left])))] += 1
+        counts[policy.choose(known(steps_left=np.array([left])))] += 1
     assert (counts == 2).all()
 
 
 def test_round_robin_stays_longer_than_retuning_takes():
     policy = RoundRobin(make_scenario("PassiveRadarRetune", {}))
-    choices = [int(policy.choose(SimpleNamespace(steps_left=np.array([left])))[0]) for left in range(300, 0, -1)]
+    choices = [int(policy.choose(known(steps_left=np.array([left])))[0]) for left in range(300, 0, -1)]
     stays = [len(list(group)) for _, group in itertools.groupby(choices)]
     assert set(stays[:-1]) == {11}
 
 
 def test_repeat_keeps_who_answered_or_is_being_tuned_and_replaces_who_missed():
     scenario = small(transmitters=4)
-    belief = SimpleNamespace(
+    belief = known(
         chosen=np.array([[True, True, False, False], [True, True, False, False]]),
         missed=np.array([[False, True, False, False], [False, False, False, False]]),
         since_miss_s=np.array([[50.0, 0.0, 3.0, 9.0], [1.0, 2.0, 90.0, 90.0]]),
@@ -195,7 +203,7 @@ def test_outlook_of_blockage_equals_powers_of_the_chain():
     scenario = make_scenario("PassiveRadar", {})
     to_blocked, to_clear = scenario.stretches.leaving(1.0)
     chain = np.array([[1.0 - to_blocked, to_blocked], [to_clear, 1.0 - to_clear]])
-    belief = SimpleNamespace(blocked_probability=np.array([[0.0, 1.0, 0.3]]))
+    belief = known(blocked_probability=np.array([[0.0, 1.0, 0.3]]))
     outlook = Blockage(scenario)(belief, Ahead(5, 2))
     b = belief.blocked_probability[0]
     np.testing.assert_allclose(outlook.blocked[0], (1 - b) * chain[0, 1] + b * chain[1, 1])
@@ -274,7 +282,7 @@ def test_hysteresis_changes_only_for_enough():
 
 def test_oracle_never_listens_to_whom_it_knows_blocked_while_others_are_clear():
     scenario = small(steps=40)
-    policy = make_policy("oracle", scenario)
+    policy: Any = make_policy("oracle", scenario)
     env = PassiveVectorEnv(scenario, num_envs=8, autoreset_mode="disabled")
     observation, _ = env.reset(seed=5)
     policy.reset(env.belief())
@@ -340,7 +348,7 @@ def test_wrong_settings_of_the_planner_are_refused(settings, words):
 def test_lead_pursuit_meets_a_target_that_flies_straight_on(velocity):
     receiver = np.array([[[1e3, -2e3, 0.0, 200.0]]])
     target = np.array([[[30e3, 10e3, *velocity]]])
-    heading = pursuit(SimpleNamespace(platforms=receiver, mean=target))[0]
+    heading = pursuit(known(platforms=receiver, mean=target))[0]
     times = np.arange(0.0, 2000.0, 0.05)
     course = 200.0 * np.array([math.cos(heading), math.sin(heading)])
     apart = (target - receiver)[0, 0, :2] + times[:, None] * (np.array(velocity) - course)
@@ -350,7 +358,7 @@ def test_lead_pursuit_meets_a_target_that_flies_straight_on(velocity):
 def test_lead_pursuit_of_what_cannot_be_met_leads():
     receiver = np.array([[[0.0, 0.0, 0.0, 200.0]]])
     target = np.array([[[0.0, 20e3, 300.0, 0.0]]])
-    assert pursuit(SimpleNamespace(platforms=receiver, mean=target))[0] == pytest.approx(math.atan2(20e3, 30e3))
+    assert pursuit(known(platforms=receiver, mean=target))[0] == pytest.approx(math.atan2(20e3, 30e3))
 
 
 def test_a_receiver_that_holds_stays_near():
