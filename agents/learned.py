@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,14 @@ class ModelPolicy:
 
     Args:
         model: whose spaces are those of the environment.
-        simulation: that environment's parts.
+        simulation: the parts by which it was trained. Where the environment to steer shows other observations, they are
+            made from the belief.
     """
 
     def __init__(self, model: BaseAlgorithm, simulation: Simulation):
         self._model = model
         self._actor = plain_actor(model)
-        self._codec = simulation.actions
+        self._codec, self._sight = simulation.actions, simulation.observation
         self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
     def reset(self, belief: Belief) -> None:
@@ -46,6 +47,8 @@ class ModelPolicy:
         Raises:
             ValueError: a recurrent model in the middle of another number of episodes.
         """
+        if observation.shape[1:] != self._sight.space.shape:
+            observation = self._sight(belief)
         if self._actor is not None:
             return self._commands(self._actor(observation), belief)
         if self._memory is not None and self._memory[0].shape[1] != len(observation):
@@ -127,11 +130,16 @@ def observation_digest(simulation: Simulation) -> str:
 
 
 def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
-    """The parts by which a model's actions are read; guided ones become commands of the continuous kind."""
-    trained = config.get("actions", "continuous")
-    if trained not in GUIDED or simulation.scenario.actions != "continuous":
-        return simulation
-    return replace(simulation.scenario, actions=trained).make_simulation()
+    """The parts by which a model sees and acts, in place of an environment's plain ones: only commands leave it."""
+    scenario = simulation.scenario
+    trained = config.get("interface", {"actions": config.get("actions", "continuous")})
+    plain = {field.name: field.default for field in fields(scenario)}
+    changed = {
+        name: value
+        for name, value in trained.items()
+        if name in scenario.interface and getattr(scenario, name) == plain[name] != value
+    }
+    return replace(scenario, **changed).make_simulation() if changed else simulation
 
 
 def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:

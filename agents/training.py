@@ -104,6 +104,7 @@ class Run:
             "environment": environment_id(self.scenario_name),
             "observation_digest": observation_digest(self.training_scenario.make_simulation()),
             "actions": self.training_scenario.actions,
+            "interface": {name: getattr(self.training_scenario, name) for name in self.training_scenario.interface},
             "algo": self.algo,
             "seed": self.seed,
             "device": self.device,

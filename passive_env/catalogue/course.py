@@ -18,6 +18,8 @@ class CourseScenario(Scenario):
 
     ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Pairs of fields of which the first must not exceed the second."""
+    interface: ClassVar[tuple[str, ...]] = ("actions",)
+    """Fields that decide how an agent sees and acts, not what happens: a policy trained with some flies with others."""
 
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
