@@ -441,6 +441,20 @@ def test_a_trained_network_is_saved_and_flies_again(tmp_path, name, fields):
     assert ((commands[:, -scenario.pool :] == 1.0).sum(1) == 2).all()
 
 
+def test_a_trained_network_flies_where_nothing_is_promised_and_scores_are_commanded(tmp_path):
+    """It sees and acts as it was trained: commands are the same as where its own observations are shown."""
+    run = plan("PassiveRadar", tmp_path / "run", timesteps=96, envs=8, fields={"steps": 12})
+    train(run, progress=False)
+    commands = []
+    for scenario in (run.training_scenario, run.scenario):
+        env = PassiveVectorEnv(scenario, num_envs=4)
+        observation, _ = env.reset(seed=3)
+        policy = LearnedPolicy(run.folder, "passive/PassiveRadar-v0", env.simulation)
+        commands.append(policy.act(env.belief(), observation))
+    assert run.scenario.promised_scans == 0 < run.training_scenario.promised_scans
+    np.testing.assert_array_equal(*commands)
+
+
 def test_promises_are_observed_as_the_search_makes_them():
     scenario = small(promised_scans=1)
     env, belief, observation = flown_belief(scenario)
