@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.gaussian import Gaussian
+from trackers.motion_3d import predict_3d
 
 COURSES = ((-math.sqrt(0.6), 5.0 / 18.0), (0.0, 8.0 / 18.0), (math.sqrt(0.6), 5.0 / 18.0))
 """Entries that stand for all of a sector, as shares of its half width, and their weights (Gauss–Legendre)."""
@@ -171,21 +172,12 @@ def entry_prior(task: Task) -> Gaussian:
 
 
 def course_prior(task: Task, scans: int, step_s: float, acceleration_std: float) -> Gaussian:
-    """Mean [e, 6] and covariance [e, 6, 6] of the state at the last scan, to first order, before any measurement.
+    """Mean [e, 6] and covariance [e, 6, 6] of the state at the last scan: moments of what is drawn, none measured.
 
-    The uniform spreads of bearing, course, speed and altitude, and a white acceleration of `acceleration_std` per axis.
+    The entry's, moved on, and a white acceleration of `acceleration_std` per axis.
     """
-    t, steps = step_s * (scans - 1), scans - 1
-    altitude, speed = task.altitude_m.mean(-1), task.speed_m_s.mean(-1)
-    mean = straight(entries(task.entry_distance_m, 0.0, 0.0, altitude, speed), scans, step_s)[:, -1]
-    slope = np.zeros((len(speed), 6, 4))  # of the state by bearing, course, speed, altitude
-    slope[:, 1, 0], slope[:, 1, 1] = task.entry_distance_m - speed * t, -speed * t
-    slope[:, 4, 0] = slope[:, 4, 1] = -speed
-    slope[:, 0, 2], slope[:, 3, 2], slope[:, 2, 3] = -t, -1.0, 1.0
-    spread = (task.sector_rad, task.heading_rad, 0.5 * np.ptp(task.speed_m_s, -1), 0.5 * np.ptp(task.altitude_m, -1))
-    scaled = slope * (np.stack(spread, axis=-1) / math.sqrt(3.0))[:, None, :]
-    q = (acceleration_std * step_s) ** 2 * steps
+    steps = scans - 1
+    moved = predict_3d(entry_prior(task), step_s * steps, 0.0)
     half = 0.5 * step_s * steps
     noise = np.kron([[step_s**2 * (steps**2 / 3.0 - 1.0 / 12.0), half], [half, 1.0]], np.eye(3))
-    known = np.diag([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])  # a metre, a decimetre a second: never singular
-    return Gaussian(mean, scaled @ np.swapaxes(scaled, -1, -2) + q * noise + known)
+    return Gaussian(moved.mean, moved.cov + (acceleration_std * step_s) ** 2 * steps * noise)

@@ -115,12 +115,20 @@ def test_targets_enter_inside_the_limits_told():
     np.testing.assert_allclose(world.tape.targets[:, -1, 0, :3], start[:, :3] + 49.0 * start[:, 3:], rtol=1e-9)
 
 
-def test_the_prior_of_the_last_state_covers_what_is_drawn():
-    """NEES of true last states under the first-order prior; spreads are small, the white acceleration is not."""
-    fields = {"entry_sector_min_deg": 2.0, "entry_sector_max_deg": 2.0, "heading_spread_min_deg": 2.0,
-              "heading_spread_max_deg": 2.0, "process_noise_m_s2": 20.0}  # fmt: skip
-    _, world = begin(RadarPlacement(**fields), 2000)
-    prior = course_prior(world.tape.task, 50, 1.0, 20.0)
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"entry_sector_min_deg": 30.0, "entry_sector_max_deg": 30.0, "heading_spread_max_deg": 60.0,
+         "nearest_min_m": 200e3},
+        {"entry_sector_min_deg": 2.0, "entry_sector_max_deg": 2.0, "process_noise_m_s2": 20.0},
+    ],
+)  # fmt: skip
+def test_the_prior_of_the_last_state_has_the_moments_of_what_is_drawn(fields):
+    """NEES of true last states; its spread about the mean is no wider than that of normal numbers."""
+    scenario = RadarPlacement(**fields)
+    _, world = begin(scenario, 2000)
+    prior = course_prior(world.tape.task, scenario.scans, scenario.step_s, scenario.process_noise_m_s2)
     error = prior.mean - world.truth[:, 0]
     nees = np.einsum("ei,ei->e", error, np.linalg.solve(prior.cov, error[..., None])[..., 0])
     low, high = mean_band(6, 2000)
