@@ -188,6 +188,15 @@ def test_targets_enter_as_expected_and_the_prior_is_honest(course):
         assert world.metrics.nees.mean() == pytest.approx(5.0, abs=0.5)  # of six numbers one, the climb, is known
 
 
+def test_drawn_targets_stay_above_ground_and_move_as_their_velocities_say():
+    """Ten minutes of white acceleration would lead every sixth one under ground."""
+    _, world = begin(MobilePlacement(), 200)
+    x = world.tape.targets[:, :, 0]
+    assert (x[..., 2] >= -1e-6).all()
+    assert 10 < (x[..., 2].min(axis=1) < 1e-6).sum() < 70
+    np.testing.assert_allclose(np.diff(x[..., :3], axis=1), 5.0 * (x[:, 1:, 3:] + x[:, :-1, 3:]), atol=1e-6)
+
+
 def test_what_is_expected_of_the_entry_has_the_moments_of_what_is_drawn():
     scenario = MobilePlacement(process_noise_m_s2=0.0)
     _, world = begin(scenario, 1)

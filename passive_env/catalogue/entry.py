@@ -27,7 +27,8 @@ class EntryScenario(CourseScenario):
     """Base of them. Drawn per episode, and told to the agent, are the task's limits (`passive_env.placement.Task`).
 
     All are uniform between their ``_min`` and ``_max`` fields, accuracies log-uniform; those of azimuth and elevation
-    independently. The target's own entry, course, altitude and speed are uniform in the limits told.
+    independently. The target's own entry, course, altitude and speed are uniform in the limits told; a white
+    acceleration disturbs it, vertically less where it would lead under ground.
     """
 
     targets: ClassVar[int] = 1
@@ -129,9 +130,18 @@ class EntryScenario(CourseScenario):
         path = straight(start, z.shape[1] + 1, self.step_s)
         pushed = self.process_noise_m_s2 * self.step_s * z
         gained = np.cumsum(pushed, axis=1)
-        path[:, 1:, :3] += self.step_s * np.cumsum(gained - 0.5 * pushed, axis=1)
+        moved = self.step_s * np.cumsum(gained - 0.5 * pushed, axis=1)
+        calmer = _above_ground(start[:, 2], moved[..., 2].min(axis=1))
+        moved[..., 2] *= calmer[:, None]
+        gained[..., 2] *= calmer[:, None]
+        path[:, 1:, :3] += moved
         path[:, 1:, 3:] += gained
         return path
+
+
+def _above_ground(altitude: np.ndarray, lowest: np.ndarray) -> np.ndarray:
+    """Share [e] of its climbs and descents, `lowest` [e] m the deepest, with which a target at most touches ground."""
+    return np.divide(altitude, -lowest, out=np.ones_like(altitude), where=-lowest > altitude)
 
 
 def _ends(task: Task) -> tuple[Any, Any]:
