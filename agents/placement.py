@@ -1,7 +1,7 @@
 """Policies that place sensors: the paper's layouts, rules, greedy one by one, and a slow search over whole layouts.
 
 All decide from the belief. Promised errors are the theoretical covariance's, averaged (in logarithms) over the courses
-that stand for all (`passive_env.placement.representative_courses`).
+that stand for the sector of entry (`passive_env.placement.representative_courses`).
 """
 
 from __future__ import annotations

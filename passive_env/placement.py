@@ -137,7 +137,10 @@ def straight(start, scans: int, step_s: float):
 
 
 def representative_courses(task: Task, scans: int, step_s: float):
-    """Paths [e, 3, k, 6] that stand for all courses of a task; `COURSES` has their weights."""
+    """Paths [e, 3, k, 6] that stand for a task's sector of entry; `COURSES` has their weights.
+
+    Course, speed and altitude are their means: they move the target by little against its distance from the sensors.
+    """
     nodes = np.array([node for node, _ in COURSES])
     start = entries(
         task.entry_distance_m[:, None], nodes * task.sector_rad[:, None], 0.0, task.altitude_m.mean(-1)[:, None],

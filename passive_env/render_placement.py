@@ -91,7 +91,7 @@ def draw_area(axes: Axes, task: Task, scenario: Any) -> None:
     axes.clear()
     style_axes(axes)
     axes.set_xlabel("from the site towards the expected entry [km]", fontsize=10, color=INK)
-    axes.set_ylabel("to the left [km]", fontsize=10, color=INK, labelpad=2)
+    axes.set_ylabel("to the left, seen from the site [km]", fontsize=10, color=INK, labelpad=2)
     outline = 1e-3 * area_corners(task)
     axes.plot(*outline.T, **AREA)
     courses = representative_courses(task, scenario.scans, scenario.step_s)[0]

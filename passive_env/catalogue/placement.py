@@ -59,7 +59,7 @@ class RadarPlacement(EntryScenario):
         ("scored_scans", "scans"),
     )
 
-    steps: int = integer(3, 1, 4, "sensors to place, one per step")
+    steps: int = integer(3, 1, 4, "sensors to place, one per step; a single one is there to compare with")
     angle_only: int = integer(0, 0, 4, "how many of them, the last ones, measure azimuth and elevation only")
     scans: int = integer(50, 3, 1000, "scans of the track after the last step")
     scored_scans: int = integer(10, 1, 1000, "the last so many of them count for the position error")
