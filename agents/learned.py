@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from agents.actor import plain_actor
 from agents.algorithms import find_algorithm
 from passive_env.actions import GUIDED
 from passive_env.belief import Belief
+from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
 
 CONFIG, MODEL = "config.json", "model.zip"
@@ -76,7 +77,7 @@ class LearnedPolicy(ModelPolicy):
 
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
-        simulation = _as_trained(config, simulation)
+        simulation = _as_trained(config, environment, simulation)
         _check_fit(Path(run), config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
         _check_spaces(Path(run) / MODEL, model, simulation)
@@ -129,15 +130,14 @@ def observation_digest(simulation: Simulation) -> str:
     return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
 
 
-def _as_trained(config: dict[str, Any], simulation: Simulation) -> Simulation:
-    """The parts by which a model sees and acts, in place of an environment's plain ones: only commands leave it."""
-    scenario = simulation.scenario
+def _as_trained(config: dict[str, Any], environment: str, simulation: Simulation) -> Simulation:
+    """The parts by which a model sees and acts, where nobody asked for others: only commands leave it."""
+    scenario, registered = simulation.scenario, make_scenario(environment, {})
     trained = config.get("interface", {"actions": config.get("actions", "continuous")})
-    plain = {field.name: field.default for field in fields(scenario)}
     changed = {
         name: value
         for name, value in trained.items()
-        if name in scenario.interface and getattr(scenario, name) == plain[name] != value
+        if name in scenario.interface and getattr(scenario, name) == getattr(registered, name) != value
     }
     return replace(scenario, **changed).make_simulation() if changed else simulation
 

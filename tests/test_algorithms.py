@@ -135,9 +135,12 @@ def test_every_scenario_has_a_preset_from_which_a_model_can_be_made(algo, name, 
     run = plan(name, tmp_path, algo, envs=2)
     assert run.timesteps % (run.scenario.steps * run.preset["envs"]) == 0
     run = dataclasses.replace(run, preset={key: part for key, part in run.preset.items() if key != "imitation"})
-    env = Sb3VecEnv(PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step"))
-    policy = ModelPolicy(new_model(run, env), run.scenario.make_simulation())
-    assert policy.act(None, env.reset()).shape == (2, run.scenario.make_actions().size)
+    flown = PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step")
+    env = Sb3VecEnv(flown)
+    policy = ModelPolicy(new_model(run, env), flown.simulation)
+    observation = env.reset()
+    commanded = run.scenario.replace(actions="continuous").make_actions().size
+    assert policy.act(flown.belief(), observation).shape == (2, commanded)
 
 
 @pytest.mark.parametrize("algo", [algo for algo, algorithm in ALGORITHMS.items() if algorithm.on_policy])

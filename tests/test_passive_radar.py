@@ -122,7 +122,7 @@ def test_the_acquisition_leads_up_to_the_first_decision():
 
 
 def test_guesses_are_off_by_the_stated_deviations():
-    for dimensions, std in ((2, [20e3] * 2 + [200.0] * 2), (3, [20e3, 20e3, 3e3, 200.0, 200.0, 10.0])):
+    for dimensions, std in ((2, [5e3] * 2 + [200.0] * 2), (3, [5e3, 5e3, 3e3, 200.0, 200.0, 10.0])):
         _, world = begin(400, dimensions=dimensions)
         off = (world.tape.guess - world.tape.acquisition.targets[:, 0, 0]) / std
         assert kstest(off.ravel(), norm.cdf).pvalue > 1e-4

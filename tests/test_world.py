@@ -25,6 +25,7 @@ from passive_env.catalogue.angle_fusion import AngleFusion
 from passive_env.catalogue.bearings import BearingScenario
 from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.ownship import Ownship
+from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.catalogue.placement import RadarPlacement
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation, map_rows
@@ -425,7 +426,8 @@ def test_every_order_of_returns_is_equally_likely(targets):
 # ------------------------------------------------------------------------------------------------ rewards
 
 
-IN_PLANE = [term for term in TERMS if "position" not in term and "acceleration" not in term]
+ELSEWHERE = ("position", "acceleration", "horizontal", "height")
+IN_PLANE = [term for term in TERMS if not any(word in term for word in ELSEWHERE)]
 """Terms of scenarios with unlabelled bearings."""
 
 
@@ -475,10 +477,11 @@ def test_every_reward_term_has_a_weight_and_a_hand_computed_test():
         "final_log_range_bound", "information_gain", "maneuver", "standoff", "nogo", "lost_track", "log_position_error",
         "relative_position_error", "position_error", "final_position_error", "log_position_bound",
         "turn_position_error", "acceleration_error", "final_log_position_error", "position_gain",
+        "log_horizontal_error", "horizontal_error", "height_error", "log_horizontal_bound",
     }  # fmt: skip
     in_plane, *others = (
         {f.name.removeprefix("reward_") for f in dataclasses.fields(family) if f.name.startswith("reward_")}
-        for family in (TwoStation, AngleFusion, ManeuveringTarget, RadarPlacement)
+        for family in (TwoStation, AngleFusion, ManeuveringTarget, RadarPlacement, PassiveRadar)
     )
     assert in_plane.union(*others) == set(TERMS)
     assert in_plane == set(IN_PLANE)
