@@ -145,10 +145,15 @@ def add_discs(axes: Axes) -> PolyCollection:
 
 
 def place_dart(line: Line2D, state_m: Any) -> None:
-    """Put a dart at a state [4] m, m/s, pointing along its velocity."""
+    """Put a dart at a state [4] m, m/s, pointing along its velocity; a dot where that is 0."""
     heading_deg = math.degrees(math.atan2(state_m[3], state_m[2]))
     line.set_data([1e-3 * state_m[0]], [1e-3 * state_m[1]])
-    line.set_marker(_arrow(heading_deg))
+    line.set_marker(_arrow(heading_deg) if _moves(state_m) else MarkerStyle("o"))
+
+
+def _moves(state_m: Any) -> bool:
+    """Whether a state [4] has a course; rounding has none, one that turns on the spot has."""
+    return math.hypot(*state_m[2:]) > 1e-7
 
 
 def place_estimates(rings: list[Line2D], notes: list[Any], reference_m: Any, mean_m: Any, frame: Frame) -> None:
@@ -181,7 +186,7 @@ def place_name(note: Any, state_m: Any, middle_m: Any, frame: Frame) -> None:
     behind it.
     """
     note.xy = 1e-3 * state_m[:2]
-    ahead = state_m[2:] / max(math.hypot(*state_m[2:]), 1e-9)
+    ahead = state_m[2:] / math.hypot(*state_m[2:]) if _moves(state_m) else np.array((0.0, 1.0))
     left = np.array((-ahead[1], ahead[0]))
     out = left if left @ (state_m[:2] - middle_m) > 0.0 else -left
     share = (note.xy - frame.low) / (frame.high - frame.low)

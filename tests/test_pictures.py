@@ -7,10 +7,13 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
 from matplotlib.text import Text
 
 from agents.maneuvers import Maneuvers, angle_quantiles_deg, first_side_share, leg_steps, maneuvers
 from agents.pictures import LABEL_GAP, EpisodePaths, error_over_time, geometry, ratio_chart, reward_curve
+from passive_env import artists
 from passive_env.palette import BAD, GOOD, MUTED, SERIES
 
 TIME_S = np.arange(46) * 2.0
@@ -315,3 +318,14 @@ def test_a_ratio_without_a_finite_interval_is_drawn():
 def test_ratio_chart_says_what_is_wrong(ratios):
     with pytest.raises(ValueError, match="ratio"):
         ratio_chart(ratios, "Title")
+
+
+def test_what_stands_is_a_dot():
+    moving, turning, standing = Line2D([], []), Line2D([], []), Line2D([], [])
+    artists.place_dart(moving, np.array([0.0, 0.0, 3.0, 4.0]))
+    artists.place_dart(turning, np.array([0.0, 0.0, 0.0, 1e-6]))  # a station that turns on the spot
+    artists.place_dart(standing, np.array([0.0, 0.0, 1e-11, 0.0]))
+    dot = MarkerStyle("o").get_path().vertices
+    assert standing.get_marker().get_path().vertices.shape == dot.shape
+    assert moving.get_marker().get_path().vertices.shape != dot.shape
+    assert turning.get_marker().get_path().vertices.shape != dot.shape
