@@ -325,7 +325,5 @@ def test_what_stands_is_a_dot():
     artists.place_dart(moving, np.array([0.0, 0.0, 3.0, 4.0]))
     artists.place_dart(turning, np.array([0.0, 0.0, 0.0, 1e-6]))  # a station that turns on the spot
     artists.place_dart(standing, np.array([0.0, 0.0, 1e-11, 0.0]))
-    dot = MarkerStyle("o").get_path().vertices
-    assert standing.get_marker().get_path().vertices.shape == dot.shape
-    assert moving.get_marker().get_path().vertices.shape != dot.shape
-    assert turning.get_marker().get_path().vertices.shape != dot.shape
+    shapes = [MarkerStyle(line.get_marker()).get_path().vertices.shape for line in (moving, turning, standing)]
+    assert shapes[2] == MarkerStyle("o").get_path().vertices.shape != shapes[0] == shapes[1]
