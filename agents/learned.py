@@ -77,6 +77,7 @@ class LearnedPolicy(ModelPolicy):
 
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
+        _check_environment(Path(run), config, environment)
         simulation = _as_trained(config, environment, simulation)
         _check_fit(Path(run), config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
@@ -151,12 +152,15 @@ def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> N
         )
 
 
-def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: Simulation) -> None:
+def _check_environment(run: Path, config: dict[str, Any], environment: str) -> None:
     made_for = config.get("environment")
     if made_for != environment:
         raise ValueError(
             f"{run}: its model was made for {made_for}, not for {environment}; train one with --env {environment}"
         )
+
+
+def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: Simulation) -> None:
     if config.get("observation_digest") != observation_digest(simulation):
         raise ValueError(
             f"{run}: its model was made for other observations or actions of {environment} than this scenario has "
