@@ -6,6 +6,7 @@ All decide from the belief, except the oracles. Promised errors are those of `pa
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -33,7 +34,7 @@ def scores_of(chosen: np.ndarray, pool: int) -> np.ndarray:
     return scores
 
 
-class Selection:
+class Selection(ABC):
     """Listens to one of the scenario's combinations of transmitters; a receiver that moves flies straight on.
 
     Args:
@@ -42,8 +43,10 @@ class Selection:
 
     def __init__(self, scenario: Any):
         self._scenario, self._combinations = scenario, scenario.combinations
+        self._member = np.zeros((scenario.pool, len(self._combinations)))
+        self._member[self._combinations.T, np.arange(len(self._combinations))] = 1.0
 
-    def reset(self, belief: RadarBelief) -> None:
+    def reset(self, belief: RadarBelief) -> None:  # noqa: B027  most have nothing to forget
         """Begin episodes."""
 
     def act(self, belief: RadarBelief, observation: np.ndarray) -> np.ndarray:
@@ -51,9 +54,13 @@ class Selection:
         scores = scores_of(self._combinations[self.choose(belief)], self._scenario.pool)
         return np.concatenate([np.zeros((len(scores), int(self._scenario.moves))), scores], axis=1)
 
+    @abstractmethod
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
-        raise NotImplementedError
+
+    def number_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Numbers [e] of the combinations that have most of the transmitters chosen [e, n]."""
+        return (chosen @ self._member).argmax(axis=1)
 
 
 # -- rules -------------------------------------------------------------------------------------------------------------
@@ -88,12 +95,11 @@ class RoundRobin(Selection):
 class Repeat(Selection):
     """Keeps the transmitters that answered, and takes for one that did not the one whose last miss is longest ago."""
 
-    def act(self, belief: RadarBelief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, a]."""
+    def choose(self, belief: RadarBelief) -> np.ndarray:
+        """Numbers [e] of the combinations to listen to."""
         kept = belief.chosen & ~belief.missed
         order = np.argsort(-np.where(kept, np.inf, belief.since_miss_s), axis=1, kind="stable")
-        scores = scores_of(order[:, : self._scenario.listened], self._scenario.pool)
-        return np.concatenate([np.zeros((len(scores), int(self._scenario.moves))), scores], axis=1)
+        return self.number_of(scores_of(order[:, : self._scenario.listened], self._scenario.pool))
 
 
 @kernel("(y),(y),(n,d),(c,k)->(c),(c),(c)", "FFFIFFF")
@@ -228,14 +234,12 @@ class Hysteresis(Greedy):
     def __init__(self, scenario: Any, advantage: float = 0.1, **settings: Any):
         super().__init__(scenario, waits=False, **settings)
         self._least = -math.log1p(-advantage)
-        self._member = np.zeros((scenario.pool, len(self._combinations)))
-        self._member[self._combinations.T, np.arange(len(self._combinations))] = 1.0
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
         costs = self.costs(belief)
         rows, best = np.arange(len(costs)), costs.argmin(axis=1)
-        kept = (belief.chosen @ self._member).argmax(axis=1)
+        kept = self.number_of(belief.chosen)
         return np.where(costs[rows, best] < costs[rows, kept] - self._least, best, kept)
 
 

@@ -60,6 +60,40 @@ def _predicted_std(P, h, d):
     return math.sqrt(max(variance, 1e-6))
 
 
+@helper
+def _write_track(x, P, receiver, a, b, r, statistic, maneuver, frame, out, i):
+    """Range, velocities, height, covariance and maneuver test of the track, along the level line of sight (a, b)."""
+    d = receiver.shape[0]
+    out[i] = math.log(r / 5e4)
+    out[i + 1], out[i + 2] = (a * x[d] + b * x[d + 1]) / 300.0, (a * x[d + 1] - b * x[d]) / 300.0
+    i += 3
+    if d == 3:
+        out[i], out[i + 1] = (x[2] - receiver[2]) / 1e4, x[5] / 50.0
+        i += 2
+    i = _write_covariance(P, a, b, d, frame, out, i)
+    out[i], out[i + 1] = math.log1p(max(statistic, 0.0)) / 2.0, 1.0 if maneuver else 0.0
+    return i + 2
+
+
+@helper
+def _write_site(x, P, site, std, sight, h, a, b, out, i):
+    """Where a transmitter is, and what its range sum would tell beyond its noise; h [d] is scratch."""
+    d = site.shape[0]
+    r = max(distance(x, site, d), 1.0)
+    for j in range(d):
+        h[j] = (x[j] - site[j]) / r
+    out[i] = math.log(r / 5e4)
+    out[i + 1], out[i + 2] = a * h[0] + b * h[1], a * h[1] - b * h[0]
+    i += 3
+    if d == 3:
+        out[i] = 5.0 * h[2]
+        i += 1
+    for j in range(d):
+        h[j] += sight[j]
+    out[i] = math.log(_predicted_std(P, h, d) / std) / 2.0
+    return i + 1
+
+
 @kernel(
     "(),(s,y),(m,y),(m,y,y),(a),(n,d),(n),(n),(n),(n),(n),(n),(n),(n),(),(),(l),(o)->(o)",
     "fFFFFFBFBBFFFFfbFgG",
@@ -76,38 +110,20 @@ def _observe(time_left, platforms, mean, cov, last_action, transmitters, chosen,
     r = max(distance(x, receiver, d), 1.0)
     for j in range(d):
         sight[j] = (x[j] - receiver[j]) / r
-    out[0], out[1] = time_left, math.log(r / 5e4)
-    out[2], out[3] = (a * x[d] + b * x[d + 1]) / 300.0, (a * x[d + 1] - b * x[d]) / 300.0
-    i = 4
-    if d == 3:
-        out[4], out[5] = (x[2] - receiver[2]) / 1e4, x[5] / 50.0
-        i = 6
-    i = _write_covariance(P, a, b, d, frame, out, i)
-    out[i], out[i + 1] = math.log1p(max(statistic, 0.0)) / 2.0, 1.0 if maneuver else 0.0
-    i += 2
+    out[0] = time_left
+    i = _write_track(x, P, receiver[:d], a, b, r, statistic, maneuver, frame, out, 1)
     if moves:
         vx, vy = receiver[d], receiver[d + 1]
         speed = max(math.hypot(vx, vy), 1e-9)
         out[i], out[i + 1], out[i + 2] = (a * vx + b * vy) / speed, (a * vy - b * vx) / speed, last_action[0]
         i += 3
     for n in range(transmitters.shape[0]):
-        r_n = max(distance(x, transmitters[n], d), 1.0)
-        for j in range(d):
-            h[j] = (x[j] - transmitters[n, j]) / r_n
-        out[i] = math.log(r_n / 5e4)
-        out[i + 1], out[i + 2] = a * h[0] + b * h[1], a * h[1] - b * h[0]
-        i += 3
-        if d == 3:
-            out[i] = 5.0 * h[2]
-            i += 1
-        for j in range(d):
-            h[j] += sight[j]
-        out[i] = math.log(_predicted_std(P, h, d) / std[n]) / 2.0
-        out[i + 1] = 1.0 if chosen[n] else 0.0
-        out[i + 2], out[i + 3] = 1.0 if answered[n] else 0.0, 1.0 if missed[n] else 0.0
-        out[i + 4], out[i + 5] = math.exp(-since_answer[n] / RECENT_S), math.exp(-since_miss[n] / RECENT_S)
-        out[i + 6] = probability[n]
-        i += 7
+        i = _write_site(x, P, transmitters[n], std[n], sight, h, a, b, out, i)
+        out[i] = 1.0 if chosen[n] else 0.0
+        out[i + 1], out[i + 2] = 1.0 if answered[n] else 0.0, 1.0 if missed[n] else 0.0
+        out[i + 3], out[i + 4] = math.exp(-since_answer[n] / RECENT_S), math.exp(-since_miss[n] / RECENT_S)
+        out[i + 5] = probability[n]
+        i += 6
         if delay > 0.0:
             out[i] = wait[n] / delay
             i += 1

@@ -34,7 +34,7 @@ def wrapped_deg(angle):
     return (np.asarray(angle) + 180.0) % 360.0 - 180.0
 
 
-def fly_within_the_action_space(name, scenario):
+def assert_flies_within_the_action_space(name, scenario):
     """Fly three whole episodes by a policy of this name."""
     env = PassiveVectorEnv(scenario, num_envs=3, autoreset_mode="disabled")
     observation, _ = env.reset(seed=0)
@@ -485,7 +485,7 @@ def test_policies_obey_the_protocol(scenario, name):
     ids=str,
 )  # fmt: skip
 def test_every_policy_flies_every_kind_of_scenario(name, fields):
-    fly_within_the_action_space(name, TwoStation(**{"steps": 8, **fields}))
+    assert_flies_within_the_action_space(name, TwoStation(**{"steps": 8, **fields}))
 
 
 @pytest.mark.parametrize(
@@ -498,7 +498,7 @@ def test_every_policy_flies_every_kind_of_scenario(name, fields):
 )  # fmt: skip
 @pytest.mark.parametrize("name", IN_SPACE)
 def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
-    fly_within_the_action_space(name, AngleFusion(**{"steps": 5, **fields}))
+    assert_flies_within_the_action_space(name, AngleFusion(**{"steps": 5, **fields}))
 
 
 @pytest.mark.parametrize(
@@ -511,7 +511,7 @@ def test_every_policy_in_space_flies_every_kind_of_scenario(name, fields):
 )  # fmt: skip
 @pytest.mark.parametrize("name", FIXING)
 def test_every_policy_of_stations_that_fix_flies_every_kind_of_scenario(name, fields):
-    fly_within_the_action_space(name, ManeuveringTarget(**{"steps": 5, **fields}))
+    assert_flies_within_the_action_space(name, ManeuveringTarget(**{"steps": 5, **fields}))
 
 
 @pytest.mark.parametrize(

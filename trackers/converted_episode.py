@@ -148,6 +148,21 @@ def _copy_tracks(lx, lP, lx_out, lP_out):
                 lP_out[s, i, j] = lP[s, i, j]
 
 
+@helper
+def add_promised(at, sensor, std, u, ranging, W, v, total, g):
+    """Add to `total` [3, 3] the information that a measurement of a target at `at` promises.
+
+    W [5, 3, 3] and v [3, 3] are scratch of which v[1] and v[2] are 0: what is measured does not matter.
+    """
+    R, info, H, nothing = W[1], W[2], W[4], v[1]
+    if ranging:
+        moments_at(at[0] - sensor[0], at[1] - sensor[1], at[2] - sensor[2], std[0], u[0], u[1], R)
+        invert_3(R, info)
+        add_position(nothing, info, nothing, total, g)
+    else:
+        add_direction(v[2], sensor, std, at, at, H, total, g)
+
+
 # -- whole episodes ---------------------------------------------------------------------------------------------------
 
 
@@ -195,7 +210,7 @@ def predict_errors(path, sensors, std, ranging, T, q, rho, V, position_std, P_ou
     """The covariance recursion along a path, all information evaluated on it."""
     k, n = sensors.shape[0], sensors.shape[1]
     x, P, W, v, u = np.zeros(6), np.zeros((6, 6)), np.empty((10, 3, 3)), np.zeros((3, 3)), np.empty((n, 2))
-    total, R, info, cov, H, g, line, z = W[0], W[1], W[2], W[3], W[4], v[0], v[1], v[2]
+    total, cov, g, line = W[0], W[3], v[0], v[1]
     fill_shrinkages(std, u)
     two_point = any_ranging(ranging)
     for s in range(n):
@@ -205,12 +220,7 @@ def predict_errors(path, sensors, std, ranging, T, q, rho, V, position_std, P_ou
         for s in range(n):
             dx, dy, dz = path[t, 0] - sensors[t, s, 0], path[t, 1] - sensors[t, s, 1], path[t, 2] - sensors[t, s, 2]
             nearest[s] = min(nearest[s], math.sqrt(dx * dx + dy * dy + dz * dz))
-            if ranging[s]:
-                moments_at(dx, dy, dz, std[s, 0], u[s, 0], u[s, 1], R)
-                invert_3(R, info)
-                add_position(line, info, line, total, g)
-            else:
-                add_direction(z, sensors[t, s], std[s], path[t], path[t], H, total, g)
+            add_promised(path[t], sensors[t, s], std[s], u[s], ranging[s], W, v, total, g)
         for i in range(3):
             g[i] = 0.0
         if t == 0 or (t == 1 and two_point):

@@ -16,16 +16,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.compiled import helper, kernel
-from trackers.converted_episode import FUSED, ITERATED, LINEARISATIONS, innovate, start_scan, update_scan
+from trackers.converted_episode import (
+    FUSED,
+    ITERATED,
+    LINEARISATIONS,
+    add_promised,
+    innovate,
+    start_scan,
+    update_scan,
+)
 from trackers.converted_fusion import PolarScan
-from trackers.converted_measurement import Layout, moments_at
+from trackers.converted_measurement import Layout
 from trackers.gaussian import Gaussian
 from trackers.linalg import LOG_TWO_PI, invert_3
 from trackers.motion_3d import predict_6_in_place
 from trackers.position_information import (
     absorb_information,
-    add_direction,
-    add_position,
     any_ranging,
     clear_information,
     fill_shrinkages,
@@ -272,8 +278,7 @@ def _promise(P, scans, waited, path, sensors, std, ranging, nearest, T, q, rho, 
              P_out, scans_out, waited_out, position_std):  # fmt: skip
     k, n = sensors.shape[0], sensors.shape[1]
     x, W, v, u = np.zeros(6), np.empty((10, 3, 3)), np.zeros((3, 3)), np.empty((n, 2))
-    before, total, R, info, cov, H = P.copy(), W[0], W[1], W[2], W[3], W[4]
-    g, line, z = v[0], v[1], v[2]
+    before, total, cov, g, line = P.copy(), W[0], W[3], v[0], v[1]
     fill_shrinkages(std, u)
     two_point = any_ranging(ranging)
     scans_out[0], waited_out[0] = scans, waited
@@ -288,12 +293,7 @@ def _promise(P, scans, waited, path, sensors, std, ranging, nearest, T, q, rho, 
             if dx * dx + dy * dy + dz * dz < nearest * nearest:
                 continue
             usable = usable or ranging[s] or not (starts and two_point)
-            if ranging[s]:
-                moments_at(dx, dy, dz, std[s, 0], u[s, 0], u[s, 1], R)
-                invert_3(R, info)
-                add_position(line, info, line, total, g)
-            else:
-                add_direction(z, sensors[t, s], std[s], path[t], path[t], H, total, g)
+            add_promised(path[t], sensors[t, s], std[s], u[s], ranging[s], W, v, total, g)
         for i in range(3):
             g[i] = 0.0
         if not usable:

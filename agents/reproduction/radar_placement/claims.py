@@ -321,8 +321,8 @@ def _headroom_claims() -> Iterator[dict[str, Any]]:
         yield claim("10", f"{name}: error [m], within 2 %", paper, ours, within(ours, paper, relative=0.02))
     for name, (n, sector, height, paper) in SEARCHES.items():
         ours = float(position_error(best_layout(n, sector, height)))
-        text = f"best layout, {name}: error [m], within 3 % or below"
-        yield claim("10", text, paper, ours, ours <= 1.03 * paper)
+        text = f"best layout, {name}: error [m], within 3 %, or up to 10 % below: a search may find better"
+        yield claim("10", text, paper, ours, 0.9 * paper <= ours <= 1.03 * paper)
     for name, (std, paper) in UNEQUAL.items():
         stacked = ring([0.0, 0.0], [0.0, 20e3], std)
         ours = [float(error_ratio(layout)) for layout in (pair(20.0, 0.0, std), stacked)]
