@@ -26,14 +26,17 @@ class ModelPolicy:
 
     Args:
         model: whose spaces are those of the environment.
-        simulation: the parts by which it was trained. Where the environment to steer shows other observations, they are
-            made from the belief.
+        simulation: the parts by which it was trained.
+        shown: scenario whose observations it will be given; where it shows others than those the model was trained on,
+            they are made from the belief. None: the same.
     """
 
-    def __init__(self, model: BaseAlgorithm, simulation: Simulation):
+    def __init__(self, model: BaseAlgorithm, simulation: Simulation, shown: Any = None):
         self._model = model
         self._actor = plain_actor(model)
-        self._codec, self._sight = simulation.actions, simulation.observation
+        trained = simulation.scenario
+        sees_otherwise = shown is not None and any(getattr(trained, n) != getattr(shown, n) for n in trained.sight)
+        self._codec, self._sight = simulation.actions, simulation.observation if sees_otherwise else None
         self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
     def reset(self, belief: Belief) -> None:
@@ -48,7 +51,7 @@ class ModelPolicy:
         Raises:
             ValueError: a recurrent model in the middle of another number of episodes.
         """
-        if observation.shape[1:] != self._sight.space.shape:
+        if self._sight is not None:
             observation = self._sight(belief)
         if self._actor is not None:
             return self._commands(self._actor(observation), belief)
@@ -78,11 +81,11 @@ class LearnedPolicy(ModelPolicy):
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
         _check_environment(Path(run), config, environment)
-        simulation = _as_trained(config, environment, simulation)
+        shown, simulation = simulation.scenario, _as_trained(config, environment, simulation)
         _check_fit(Path(run), config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
         _check_spaces(Path(run) / MODEL, model, simulation)
-        super().__init__(model, simulation)
+        super().__init__(model, simulation, shown)
 
 
 def read_config(run: Path) -> dict[str, Any]:
@@ -100,6 +103,8 @@ def read_config(run: Path) -> dict[str, Any]:
         raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
     needed = ("environment", "observation_digest", "algo")
     missing = [name for name in needed if not (isinstance(config, dict) and name in config)]
+    if not missing and not isinstance(_interface(config), dict):
+        missing = ["interface"]
     if missing:
         raise ValueError(f"{file}: is no run's configuration, {', '.join(missing)} missing; restore it or train again")
     return config
@@ -131,14 +136,21 @@ def observation_digest(simulation: Simulation) -> str:
     return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
 
 
+def _interface(config: dict[str, Any]) -> dict[str, Any]:
+    """Fields by which a model sees and acts; runs of earlier versions name the kind of actions only."""
+    return config.get("interface", {"actions": config.get("actions", "continuous")})
+
+
 def _as_trained(config: dict[str, Any], environment: str, simulation: Simulation) -> Simulation:
-    """The parts by which a model sees and acts, where nobody asked for others: only commands leave it."""
-    scenario, registered = simulation.scenario, make_scenario(environment, {})
-    trained = config.get("interface", {"actions": config.get("actions", "continuous")})
+    """The parts by which a model sees and acts, where fields have the registered values: only commands leave it.
+
+    That a user names a field's registered value makes no difference: the environment itself stays what it is.
+    """
+    scenario, registered = simulation.scenario, make_scenario(environment, {}).interface()
     changed = {
         name: value
-        for name, value in trained.items()
-        if name in scenario.interface and getattr(scenario, name) == getattr(registered, name) != value
+        for name, value in _interface(config).items()
+        if name in registered and getattr(scenario, name) == registered[name] != value
     }
     return replace(scenario, **changed).make_simulation() if changed else simulation
 
@@ -166,3 +178,9 @@ def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: 
             f"{run}: its model was made for other observations or actions of {environment} than this scenario has "
             f"(number of targets, action kind, or another version of the package); train again"
         )
+    now = simulation.scenario.interface()
+    for name, value in _interface(config).items():
+        if now.get(name, value) != value:
+            raise ValueError(
+                f"{run}: its model was trained with {name}={value!r}, not {now[name]!r}; leave it out or train again"
+            )

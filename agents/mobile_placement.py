@@ -228,7 +228,7 @@ class Greedy:
         def choose(part: slice) -> np.ndarray:
             own = rows[part]
             state = ScanState(*(field[own, 0] for field in belief.track_state))
-            task = Task(*(field[own] for field in belief.task))
+            task = belief.task.rows(own)
             return self._choose(Moment(task, state, belief.platforms[own], path[own], step_s, installing))
 
         blocks = Blocks(len(rows), block=BLOCK)

@@ -140,11 +140,6 @@ class Promise:
         return np.tensordot([weight for _, weight in COURSES], np.log(std), axes=(0, 1))
 
 
-def rows_of(task: Task, rows: slice) -> Task:
-    """The tasks of some episodes."""
-    return Task(*(part[rows] for part in task))
-
-
 class Planned(ABC):
     """Plans a layout of all sensors at an episode's first decision and keeps to it.
 
@@ -207,14 +202,14 @@ class Greedy:
         return best
 
     def _choose(self, belief: PlacementBelief, rows: np.ndarray, count: int) -> np.ndarray:
-        task = Task(*(part[rows] for part in belief.task))
+        task = belief.task.rows(rows)
         placed = commands_of(belief.platforms[rows, :count, :3], task)
 
         def choose(part: slice) -> np.ndarray:
             before = np.broadcast_to(placed[part, None], (part.stop - part.start, len(GRID), count, 3))
             ours = np.broadcast_to(GRID[:, None], (*before.shape[:2], 1, 3))
             layouts = np.concatenate([before, ours], axis=2)
-            return GRID[self._promise(rows_of(task, part), layouts).argmin(axis=1)]
+            return GRID[self._promise(task.rows(part), layouts).argmin(axis=1)]
 
         blocks = Blocks(len(rows), block=BLOCK)
         return np.concatenate(blocks.map(choose, blocks.slices))
@@ -245,7 +240,7 @@ class Search(Planned):
 
     def plan(self, task: Task) -> np.ndarray:
         """Commands [e, n, 3] of the best layouts found."""
-        return np.stack([self.search(rows_of(task, slice(i, i + 1))) for i in range(len(task.std))])
+        return np.stack([self.search(task.rows(slice(i, i + 1))) for i in range(len(task.std))])
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""

@@ -75,7 +75,7 @@ def _promised(promise: Promise, world: World) -> tuple[tuple[np.ndarray, np.ndar
 
 def _draw(above: Axes, side: Axes, world: World, maps: Any, norm: Any, scenario: Any, paper: Any) -> Any:
     """One policy's map and diagram; returns what the colour bar is of."""
-    task = Task(*(part[:1] for part in world.tape.task))
+    task = world.tape.task.rows(slice(1))
     draw_area(above, task, scenario)
     (places, errors), (_, by_height) = maps
     shown = above.pcolormesh(

@@ -42,7 +42,7 @@ EVALUATION_EPISODES = 256
 REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
-SAME = ("environment", "actions", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset")
+SAME = ("environment", "interface", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset")
 """Entries of a run's configuration that must be as they were for it to be resumed."""
 
 EVALUATION_SEED = 2_000_000_000
@@ -103,8 +103,7 @@ class Run:
         return {
             "environment": environment_id(self.scenario_name),
             "observation_digest": observation_digest(self.training_scenario.make_simulation()),
-            "actions": self.training_scenario.actions,
-            "interface": {name: getattr(self.training_scenario, name) for name in self.training_scenario.interface},
+            "interface": self.training_scenario.interface(),
             "algo": self.algo,
             "seed": self.seed,
             "device": self.device,
@@ -242,7 +241,7 @@ class Checkpoints(BaseCallback):
                 self._references[name] = float(record.final.mean())
         record = fly(
             scenario,
-            ModelPolicy(_flown(self.model), self._run.training_scenario.make_simulation()),
+            ModelPolicy(_flown(self.model), self._run.training_scenario.make_simulation(), shown=scenario),
             EVALUATION_EPISODES,
             EVALUATION_SEED,
         )

@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from passive_env.mobile_simulation import MobileBelief
 from passive_env.observations import LIMIT, Field, clip_value
-from passive_env.placement_observation import task_fields, task_numbers
+from passive_env.placement_observation import kind_of, task_fields, task_numbers
 from trackers.compiled import helper, kernel
 
 SLOWEST_M_S = 30.0
@@ -49,15 +49,15 @@ class MobileObservation:
     Values are clipped to ±5.
 
     Args:
-        sensors: number of sensors.
+        ranging: [n] whether a sensor measures range.
         steps: decisions of an episode.
     """
 
-    def __init__(self, sensors: int, steps: int):
-        self.fields = tuple(_fields(sensors))
+    def __init__(self, ranging: Any, steps: int):
+        self.fields = tuple(_fields(ranging))
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self._steps = steps
-        self._like = np.empty(TRACK_FIELDS + SENSOR_FIELDS * sensors)
+        self._like = np.empty(TRACK_FIELDS + SENSOR_FIELDS * len(ranging))
         self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
 
     def __call__(self, belief: MobileBelief) -> Any:
@@ -134,7 +134,7 @@ def _observe(x, P, course, platforms, measured, installed, entry_distance, like,
 SIDES = ("ahead", "left", "up")
 
 
-def _fields(sensors: int):
+def _fields(ranging: Any):
     yield Field("time_left", "1", "share of the episode's decisions")
     yield from task_fields()
     yield Field("target.along", "m", "from the expected entry towards the site / 100 km")
@@ -150,11 +150,11 @@ def _fields(sensors: int):
         yield Field(f"target.log_{side}_velocity_std", "m/s", "log(standard deviation / 10 m/s) / 2")
     for pair in ("ahead_left", "ahead_up", "left_up"):
         yield Field(f"target.corr_{pair}", "1", "correlation of the position", odd="left" in pair)
-    for i in range(sensors):
+    for i, ranges in enumerate(ranging):
         yield Field(f"sensor{i}.azimuth_cos", "1", "of its azimuth at the expected entry; 0 until installed")
         yield Field(f"sensor{i}.azimuth_sin", "1", "of its azimuth at the expected entry; 0 until installed", odd=True)
         yield Field(f"sensor{i}.distance", "m", "(from the expected entry, level − 200 km) / 50 km; 0 until installed")
-        yield Field(f"sensor{i}.height", "m", "/ 10 km; 0 until installed")
+        yield Field(f"sensor{i}.height", "m", f"/ 10 km; 0 until installed{kind_of(ranges)}")
         yield Field(f"sensor{i}.ahead", "m", "of the target on its course / 100 km; 0 until installed")
         yield Field(f"sensor{i}.left", "m", "of the target's course / 100 km; 0 until installed", odd=True)
         yield Field(f"sensor{i}.log_range", "m", "log(distance from the target / 50 km); 0 until installed")

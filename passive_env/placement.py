@@ -48,6 +48,10 @@ class Task(NamedTuple):
     distance_m: Any
     height_limit_m: Any
 
+    def rows(self, rows: Any) -> Task:
+        """The tasks of some episodes: a slice, or their numbers."""
+        return Task(*(part[rows] for part in self))
+
 
 class PlacementBelief(NamedTuple):
     """What an operator knows between placements; e environments, n sensors.

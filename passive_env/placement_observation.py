@@ -36,13 +36,13 @@ class PlacementObservation:
     Values are clipped to ±5.
 
     Args:
-        sensors: number of sensors.
+        ranging: [n] whether a sensor measures range.
     """
 
-    def __init__(self, sensors: int):
-        self.fields = tuple(_fields(sensors))
+    def __init__(self, ranging: Any):
+        self.fields = tuple(_fields(ranging))
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
-        self._sensors = sensors
+        self._sensors = len(ranging)
         self._mirror_sign = np.array([-1 if field.odd else 1 for field in self.fields], dtype=np.float32)
 
     def __call__(self, belief: PlacementBelief) -> Any:
@@ -88,11 +88,16 @@ def task_fields():
     yield Field("task.height_limit", "m", "largest height of a sensor / 10 km")
 
 
-def _fields(sensors: int):
+def kind_of(ranging: bool) -> str:
+    """What a field's scale adds for a sensor without range: a policy trained with other kinds is refused by it."""
+    return "" if ranging else "; measures no range"
+
+
+def _fields(ranging: Any):
     yield Field("time_left", "1", "share of the sensors that are still to be placed")
     yield from task_fields()
-    for i in range(sensors):
+    for i, ranges in enumerate(ranging):
         yield Field(f"sensor{i}.azimuth_cos", "1", "of its azimuth at the expected entry; 0 until placed")
         yield Field(f"sensor{i}.azimuth_sin", "1", "of its azimuth at the expected entry; 0 until placed", odd=True)
         yield Field(f"sensor{i}.distance", "m", "(horizontal distance − 200 km) / 50 km; 0 until placed")
-        yield Field(f"sensor{i}.height", "m", "/ 10 km; 0 until placed")
+        yield Field(f"sensor{i}.height", "m", f"/ 10 km; 0 until placed{kind_of(ranges)}")

@@ -144,7 +144,7 @@ class PlacementSimulation(Simulation):
         cov, by_scan = np.array(world.bound), world.reports.position_crlb_m.copy()
         for count in np.unique(world.step):  # at most as many as there are sensors
             rows = np.flatnonzero(world.step == count)
-            task = Task(*(part[rows] for part in world.tape.task))
+            task = world.tape.task.rows(rows)
             layout = self.layout(world.platforms[rows, :count, :3], task)
             theory = self.tracker.theoretical(world.tape.targets[rows, :, 0], layout)
             cov[rows], by_scan[rows] = theory.cov, theory.position_std_m
@@ -160,7 +160,7 @@ class PlacementSimulation(Simulation):
             return world
         tape, sensors = world.tape, world.platforms[rows, :, :3]
         path = tape.targets[rows, :, 0]
-        layout = self.layout(sensors, Task(*(part[rows] for part in tape.task)))
+        layout = self.layout(sensors, tape.task.rows(rows))
         track = self.tracker.track(path, layout, tape.noise[rows])
         estimate, history, metrics = (_copied(part) for part in (world.estimate, world.reports, world.metrics))
         estimate.mean[rows, 0], estimate.cov[rows, 0] = track.mean[:, -1], track.cov[:, -1]

@@ -11,7 +11,6 @@ from matplotlib.lines import Line2D
 from passive_env.artists import bottom_legend, kilometres, ring
 from passive_env.core import World
 from passive_env.palette import BLUE, INK
-from passive_env.placement import Task
 from passive_env.render_placement import (
     AREA,
     COURSE,
@@ -50,7 +49,7 @@ class MobileScene:
 
     def update(self, world: World, trails: np.ndarray, frame: Any, simulation: Any) -> None:
         """Show a world (a batch of one) with the carriers' trails [n, k, 3] m; before they are installed none."""
-        task, step = Task(*(part[:1] for part in world.tape.task)), int(world.step[0])
+        task, step = world.tape.task.rows(slice(1)), int(world.step[0])
         course, trails = 1e-3 * world.tape.targets[0, : step + 1, 0, :3], 1e-3 * trails[:, -max(step, 1) :]
         draw_area(self._map, task, self._scenario)
         draw_heights(self._heights, task, self._map.get_xlim())

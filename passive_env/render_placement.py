@@ -52,7 +52,7 @@ class PlacementScene:
 
     def update(self, world: World, trails: np.ndarray, frame: Any, simulation: Any) -> None:
         """Show a world (a batch of one)."""
-        task, placed = Task(*(part[:1] for part in world.tape.task)), int(world.step[0])
+        task, placed = world.tape.task.rows(slice(1)), int(world.step[0])
         sensors = world.platforms[0, :placed, :3]
         path = world.tape.targets[0, :, 0]
         draw_area(self._map, task, self._scenario)

@@ -206,7 +206,7 @@ def trained(tmp_path_factory):
 
 
 def test_a_model_of_headings_flies_where_rates_are_flown(trained):
-    assert read_config(trained.folder)["actions"] == "headings"
+    assert read_config(trained.folder)["interface"] == {"actions": "headings"}
     for kind in ("continuous", "headings"):
         scenario = make_scenario("AngleFusion", {"steps": 5, "actions": kind})
         env = PassiveVectorEnv(scenario, num_envs=8, autoreset_mode="disabled")

@@ -10,6 +10,7 @@ import pytest
 
 from agents.evaluation import fly, fly_all, summarize
 from agents.placement import PLACEMENT, RULES, Promise, commands_of, layout_commands, spaced, stacked, stacked_or_even
+from agents.placement_pictures import placement_maps
 from agents.policy import make_policy, policy_names
 from agents.report import as_markdown, write_evaluation
 from agents.sb3 import Sb3VecEnv
@@ -361,6 +362,25 @@ def test_an_evaluation_writes_tables_and_placement_maps(tmp_path):
         "evaluation.json", "evaluation.csv", "evaluation.md", "position_error_over_time.png", "placement.png",
     }  # fmt: skip
     assert "last scans" in as_markdown(summary)
+
+
+def test_maps_show_every_policys_last_sensor_and_the_papers():
+    scenario = RadarPlacement(scans=10)
+    worlds = {}
+    for name in ("paper", "rule"):
+        simulation, world = begin(scenario, 1, seed=2)
+        policy = make_policy(name, scenario)
+        policy.reset(simulation.belief(world))
+        for _ in range(3):
+            world, _, _ = simulation.advance(world, policy.act(simulation.belief(world), None))
+        worlds[name] = world
+    figure = placement_maps(worlds, scenario, "two policies")
+    maps = [axes for axes in figure.axes if axes.get_title(loc="left")]
+    assert [axes.get_title(loc="left").split(":")[0] for axes in maps] == ["paper", "rule"]
+    paper = 1e-3 * worlds["paper"].platforms[0, -1, :2]
+    for axes in maps:
+        crosses = [line for line in axes.lines if line.get_marker() == "x"]
+        np.testing.assert_allclose([line.get_xydata()[0] for line in crosses], [paper])
 
 
 def test_learners_see_it():

@@ -13,7 +13,7 @@ import torch
 from scipy.stats import t as student
 
 from agents.evaluation import fly
-from agents.learned import LearnedPolicy
+from agents.learned import MODEL, LearnedPolicy, ModelPolicy, load_model
 from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.radar_planner import Planner
 from agents.radar_policies import Greedy, Hysteresis, Repeat, RoundRobin, pursuit
@@ -453,6 +453,16 @@ def test_a_trained_network_flies_where_nothing_is_promised_and_scores_are_comman
         commands.append(policy.act(env.belief(), observation))
     assert run.scenario.promised_scans == 0 < run.training_scenario.promised_scans
     np.testing.assert_array_equal(*commands)
+    other = run.training_scenario.replace(promised_scans=7)  # as many numbers, of another meaning
+    with pytest.raises(ValueError, match="trained with promised_scans=1, not 7"):
+        LearnedPolicy(run.folder, "passive/PassiveRadar-v0", other.make_simulation())
+    by_sight = [
+        ModelPolicy(load_model(run.folder / MODEL, run.algo), run.training_scenario.make_simulation(), shown)
+        for shown in (run.training_scenario, other)
+    ]
+    belief, observation = env.belief(), other.make_observation()(env.belief())
+    np.testing.assert_array_equal(by_sight[1].act(belief, observation), commands[0])
+    assert (by_sight[0].act(belief, observation) != commands[0]).any()
 
 
 def test_promises_are_observed_as_the_search_makes_them():

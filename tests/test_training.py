@@ -186,7 +186,10 @@ def test_any_other_folder_with_content_is_not_written_into(tmp_path):
         ({"timesteps": 5 * ROLLOUT}, ["timesteps was 1440", "is 1800 now"]),
         ({"envs": 4}, ["envs was 8", "is 4 now"]),
         ({"fields": {"targets": 2}}, ["now"]),
-        ({"fields": {"actions": "discrete"}}, ["actions was 'continuous'", "is 'discrete' now"]),
+        (
+            {"fields": {"actions": "discrete"}},
+            ["interface was {'actions': 'continuous'}", "'discrete'} now"],
+        ),
         ({"fields": {"reward_maneuver": 0.5}}, ["fields", "reward_maneuver"]),
     ],
     ids=str,

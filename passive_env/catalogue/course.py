@@ -18,8 +18,9 @@ class CourseScenario(Scenario):
 
     ordered: ClassVar[tuple[tuple[str, str], ...]] = ()
     """Pairs of fields of which the first must not exceed the second."""
-    interface: ClassVar[tuple[str, ...]] = ("actions",)
-    """Fields that decide how an agent sees and acts, not what happens: a policy trained with some flies with others."""
+    sight: ClassVar[tuple[str, ...]] = ()
+    """Fields that decide what an agent sees, not what happens; with "actions" they are its interface: a policy trained
+    with some flies with others."""
 
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
@@ -43,6 +44,10 @@ class CourseScenario(Scenario):
     def make_simulation(self) -> Simulation:
         """The loop that runs this scenario's episodes."""
         return Simulation(self)
+
+    def interface(self) -> dict[str, Any]:
+        """Values of the fields that decide how an agent sees and acts."""
+        return {name: getattr(self, name) for name in ("actions", *self.sight)}
 
     @property
     def instants(self) -> int:

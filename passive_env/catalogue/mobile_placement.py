@@ -133,7 +133,7 @@ class MobilePlacement(EntryScenario):
 
     def make_observation(self) -> MobileObservation:
         """Observation model."""
-        return MobileObservation(self.sensors, self.steps)
+        return MobileObservation(self.ranging, self.steps)
 
     def make_sensors(self, tracker: ScanFusion) -> RadarSensors:
         """The sensors on their carriers."""

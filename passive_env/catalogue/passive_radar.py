@@ -95,7 +95,7 @@ class PassiveRadar(TrackingScenario):
         ("target_acceleration_min_m_s2", "target_acceleration_max_m_s2"),
     )
 
-    interface: ClassVar[tuple[str, ...]] = ("actions", "promised_scans")
+    sight: ClassVar[tuple[str, ...]] = ("promised_scans",)
     range_floor_m: ClassVar[float] = 0.0
     range_cap_m: ClassVar[float] = math.inf
     """Ranges are measured: the tracker needs no prior of them."""

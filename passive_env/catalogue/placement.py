@@ -134,7 +134,7 @@ class RadarPlacement(EntryScenario):
 
     def make_observation(self) -> PlacementObservation:
         """Observation model."""
-        return PlacementObservation(self.steps)
+        return PlacementObservation(self.ranging)
 
     def make_scene(self, figure: Any) -> Any:
         """The map and the heights, in a matplotlib figure."""
