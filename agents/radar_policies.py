@@ -14,9 +14,9 @@ import numpy as np
 
 from agents.policy import Policy, sees_world
 from passive_env.core import World
-from passive_env.radar_promise import Ahead, Blockage, Outlook, SumPrediction, everyone, straight_on
+from passive_env.radar_promise import Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
-from passive_env.steering import towards
+from passive_env.steering import lead_pursuit, towards
 from trackers.compiled import kernel
 from trackers.range_sum import range_sum_row
 
@@ -302,22 +302,8 @@ class Moving:
 
 
 def pursuit(belief: RadarBelief) -> np.ndarray:
-    """Headings [e] rad to the nearest point of time at which the receiver can meet the target that flies straight on.
-
-    A target that it cannot meet is aimed at where it will be after the time that the way to it takes.
-    """
-    receiver, x = belief.platforms[:, 0], belief.mean[:, 0]
-    d = receiver.shape[1] // 2
-    line, v = x[:, :2] - receiver[:, :2], x[:, d : d + 2]
-    speed = np.linalg.norm(receiver[:, d : d + 2], axis=1)
-    a, b, c = np.square(v).sum(1) - speed**2, (line * v).sum(1), np.square(line).sum(1)
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    slow = np.where(a < 0.0, (-b - root) / np.where(a < 0.0, a, -1.0), np.inf)  # the target is the slower one
-    fast = c / np.where(root > b, root - b, np.nan)
-    time = np.where(a < 0.0, slow, np.where((b < 0.0) & (b * b >= a * c), fast, np.inf))
-    time = np.where(np.isfinite(time), time, np.sqrt(c) / np.maximum(speed, 1e-9))
-    aim = line + time[:, None] * v
-    return np.arctan2(aim[:, 1], aim[:, 0])
+    """Headings [e] rad of lead pursuit of the track."""
+    return lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0])
 
 
 class HeadingSearch:
@@ -384,6 +370,7 @@ SEARCHES: dict[str, Maker] = {
     "greedy": lambda scenario, seed: Greedy(scenario, everyone, waits=False),
     "skip": lambda scenario, seed: Greedy(scenario, not_missed, waits=False),
     "bayes": lambda scenario, seed: Greedy(scenario, waits=False),
+    "timed": lambda scenario, seed: Greedy(scenario, Durations(scenario), waits=False),
     "oracle": lambda scenario, seed: Oracle(scenario),
 }
 """Makers of searches one scan ahead, without regard to retuning."""
@@ -391,23 +378,25 @@ SEARCHES: dict[str, Maker] = {
 RETUNING: dict[str, Maker] = {
     "hysteresis": lambda scenario, seed: Hysteresis(scenario),
     "hold10": lambda scenario, seed: Greedy(scenario, **HELD),
+    "timed10": lambda scenario, seed: Greedy(scenario, Durations(scenario), **HELD),
     "oracle": lambda scenario, seed: Oracle(scenario, **HELD),
 }
 """Makers of those that know that retuning takes time."""
 
 
-def _moving(heading: Callable[[Any], Any]) -> Maker:
-    return lambda scenario, seed: Moving(scenario, Greedy(scenario, waits=False), heading(scenario))
+def _moving(heading: Callable[[Any], Any], outlook: Callable[[Any], Any] = Blockage) -> Maker:
+    return lambda scenario, seed: Moving(scenario, Greedy(scenario, outlook(scenario), waits=False), heading(scenario))
 
 
 MOVING: dict[str, Maker] = {
     "hold": _moving(lambda scenario: None),
     "pursuit": _moving(lambda scenario: pursuit),
     "rule": _moving(lambda scenario: pursuit),
+    "timed_pursuit": _moving(lambda scenario: pursuit, Durations),
     "planner": _moving(HeadingSearch),
     "oracle": lambda scenario, seed: Moving(scenario, Oracle(scenario), pursuit),
 }
-"""Makers of what moves; all listen as "bayes" does, which flies straight on, the oracle as the oracle does."""
+"""Makers of what moves; all listen as "bayes" does, which flies straight on, but those that are named otherwise."""
 
 
 def radar_makers(scenario: Any) -> dict[str, Maker]:

@@ -25,7 +25,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.activation import quicken
 from agents.algorithms import ALGORITHMS, find_algorithm
-from agents.asymmetric import AsymmetricPolicy, for_flying
+from agents.asymmetric import AsymmetricPolicy, for_flying, sees_truth
 from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
@@ -185,7 +185,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
 
 def _flown(model: Any) -> BaseAlgorithm:
     """The model as it is flown: without a critic that sees the truth."""
-    return for_flying(model) if isinstance(model.policy, AsymmetricPolicy) else model
+    return for_flying(model) if sees_truth(model) else model
 
 
 def save_model(model: BaseAlgorithm, file: Path, *include: str) -> None:
@@ -296,10 +296,10 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 
 def _network(run: Run, env: Sb3VecEnv) -> tuple[Any, dict[str, Any]]:
     """The policy's class, or its name, and settings that follow from the scenario."""
+    if "network" in run.preset:
+        return TransmitterPolicy, {"layout": network_settings(run.training_scenario, env.truth)}
     if env.truth is not None:
         return AsymmetricPolicy, {"truth_size": len(env.truth.fields)}
-    if "network" in run.preset:
-        return TransmitterPolicy, {"layout": network_settings(run.training_scenario)}
     return ALGORITHMS[run.algo].network, {}
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from passive_env.blockage import Stretches, predict_blocked, update_blocked
 from passive_env.radar_tape import Echoes, RadarTape
+from passive_env.renewal import Renewal
 from trackers.compiled import helper, kernel
 from trackers.gaussian import Gaussian
 from trackers.range_sum_contract import RangeSumScan, RangeSumUpdate
@@ -39,6 +40,7 @@ class RadarBelief(NamedTuple):
         missed: [e, n] bool, whose echoes it did not bring although the receiver listened.
         since_answer_s, since_miss_s: [e, n] time since the last echo and the last miss, at most `NEVER_S`.
         blocked_probability: [e, n] of being blocked at the last scan's instant (`passive_env.blockage`).
+        stretch: [e, n, 2, r] probabilities of being blocked, and clear, for how much longer (`passive_env.renewal`).
         std: [e, n] m, standard deviations of the last scan's range sums, where the track was predicted.
         statistic: [e] of the tracker's maneuver test, 0 where the track coasted.
         maneuver: [e] bool, whether the test fired.
@@ -59,13 +61,14 @@ class RadarBelief(NamedTuple):
     since_answer_s: Any
     since_miss_s: Any
     blocked_probability: Any
+    stretch: Any
     std: Any
     statistic: Any
     maneuver: Any
 
 
 class Listening(NamedTuple):
-    """What is known of every transmitter after a scan, each [e, n]; fields as in `RadarBelief`."""
+    """What is known of every transmitter after a scan; fields as in `RadarBelief`."""
 
     chosen: Any
     wait_s: Any
@@ -74,6 +77,7 @@ class Listening(NamedTuple):
     since_answer_s: Any
     since_miss_s: Any
     blocked_probability: Any
+    stretch: Any
 
 
 class RadarSighting(NamedTuple):
@@ -208,7 +212,7 @@ class SumReceiver:
         rest = (r.step_s, r.echo_probability, r.std_m, r.std_range_m, r.std_floor_m, *stretches.leaving(r.step_s))
         self._limits = np.array([r.channels, r.retune_delay_s, *rest])
         self._tuned = np.array([r.channels, 0.0, *rest])
-        self._share = stretches.share
+        self._share, self._renewal = stretches.share, Renewal(stretches, r.step_s, r.echo_probability)
 
     def acquire(self, tape: RadarTape) -> tuple[list[RadarSighting], Any]:
         """The scans from which a track is started, every transmitter in its turn, and their times [t] s.
@@ -270,7 +274,8 @@ class SumReceiver:
     def _nothing_known(self, tape: RadarTape) -> Listening:
         shape = tape.noise[:, 0].shape
         none, never = np.zeros(shape, dtype=bool), np.full(shape, NEVER_S)
-        return Listening(none, np.zeros(shape), none, none, never, never, np.full(shape, self._share))
+        stretch = np.broadcast_to(self._renewal.stationary, (*shape, *self._renewal.stationary.shape))
+        return Listening(none, np.zeros(shape), none, none, never, never, np.full(shape, self._share), stretch)
 
     def _sense(self, echoes: RadarTape | Echoes, step, platforms, transmitters, scores, known, mean, limits):
         sums, answered, std, chosen, wait, missed, since_answer, since_miss, probability, blocked, truth = _listen(
@@ -280,7 +285,8 @@ class SumReceiver:
         )  # fmt: skip
         d = transmitters.shape[-1]
         scan = RangeSumScan(sums, answered, transmitters, np.ascontiguousarray(platforms[:, 0, :d]), std)
-        listening = Listening(chosen, wait, answered, missed, since_answer, since_miss, probability)
+        stretch = self._renewal.follow(known.stretch, answered, missed)
+        listening = Listening(chosen, wait, answered, missed, since_answer, since_miss, probability, stretch)
         return RadarSighting(scan, listening, truth, blocked)
 
 

@@ -41,7 +41,7 @@ class RadarSimulation(Simulation):
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             world.last_action, world.track_state, world.tape.discs, world.tape.transmitters, known.chosen,
             known.wait_s, known.answered, known.missed, known.since_answer_s, known.since_miss_s,
-            known.blocked_probability, told.scan.std, told.statistic, told.maneuver,
+            known.blocked_probability, known.stretch, told.scan.std, told.statistic, told.maneuver,
         )  # fmt: skip
 
     def sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:

@@ -15,15 +15,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from passive_env.actions import Combinations, Continuous, Headings
+from passive_env.actions import Combinations, Continuous, Headings, LeadsAndCombinations
 from passive_env.blockage import Stretches, blocked
 from passive_env.catalogue.angle_fusion import place_flight_in_space
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, plan_view, random_maneuvers, turn, turn_and_climb
 from passive_env.radar_metrics import RadarFigures
-from passive_env.radar_observation import RadarObservation
-from passive_env.radar_promise import Promise
+from passive_env.radar_observation import FORESEEN_SCANS, RadarObservation
+from passive_env.radar_promise import Foresight, Promise
 from passive_env.radar_sensors import Receiver, SumReceiver
 from passive_env.radar_simulation import RadarSimulation
 from passive_env.radar_tape import Echoes, RadarTape
@@ -69,9 +69,9 @@ class PassiveRadar(TrackingScenario):
 
     Action: a score per transmitter, the ``channels`` highest are listened to (of equal ones the first); before them,
     where the receiver moves (``receiver_speed_m_s``), its turn, or with actions "headings" the heading to turn to off
-    the line of sight. Discrete: the number of a combination of transmitters, in lexicographic order, after one of
-    three turns where the receiver moves. A newly chosen transmitter's echo comes ``retune_delay_s`` after the choice
-    at the earliest.
+    the line of sight. Discrete: the number of a combination of transmitters, in lexicographic order, where the receiver
+    moves after one of eleven courses off lead pursuit. A newly chosen transmitter's echo comes ``retune_delay_s`` after
+    the choice at the earliest.
     Observation: `passive_env.radar_observation.RadarObservation`.
     info: besides what every environment shows ``position_crlb_m, horizontal_error_m, horizontal_crlb_m,
         height_error_m, height_crlb_m, maneuver``, each [1], and ``chosen, answered, missed, blocked`` (the truth),
@@ -95,7 +95,7 @@ class PassiveRadar(TrackingScenario):
         ("target_acceleration_min_m_s2", "target_acceleration_max_m_s2"),
     )
 
-    sight: ClassVar[tuple[str, ...]] = ("promised_scans",)
+    sight: ClassVar[tuple[str, ...]] = ("promised_scans", "durations_known")
     range_floor_m: ClassVar[float] = 0.0
     range_cap_m: ClassVar[float] = math.inf
     """Ranges are measured: the tracker needs no prior of them."""
@@ -125,7 +125,7 @@ class PassiveRadar(TrackingScenario):
     blocked_max_s: float = number(60.0, 0.0, 1e4, "longest; 0: never")
     clear_min_s: float = number(30.0, 1.0, 1e5, "shortest time between")
     clear_max_s: float = number(60.0, 1.0, 1e5, "longest")
-    acquisition_scans: int = integer(10, 1, 100, "scans, all transmitters in turn, from which the track is started")
+    acquisition_scans: int = integer(20, 1, 100, "scans, all transmitters in turn, from which the track is started")
     guess_position_std_m: float = number(
         5e3, 1.0, 1e6, "error of the operator's guess, per level axis; with the paper's course at least 20 km"
     )
@@ -164,6 +164,10 @@ class PassiveRadar(TrackingScenario):
     promised_scans: int = integer(
         0, 0, 100, "the error that each combination promises if it is kept for so many scans is observed; 0: it is not"
     )
+    durations_known: bool = flag(
+        False, "chances to be clear in the scans to come are observed, and promises made, by the belief that knows how "
+        "long stretches last",
+    )  # fmt: skip
     reward_log_range_error: float = number(0.0, 0.0, 1e6, "weight")
     reward_log_horizontal_error: float = number(1.0, 0.0, 1e6, "weight")
     reward_horizontal_error: float = number(0.0, 0.0, 1e6, "weight")
@@ -294,18 +298,22 @@ class PassiveRadar(TrackingScenario):
     def make_actions(self) -> Continuous | Combinations:
         """Action codec: the receiver's turn, where it moves, then scores."""
         odd = [True] * self.moves + [False] * self.pool
+        turn_per_step = math.radians(self.max_turn_rate_deg_s) * self.step_s
         if self.actions == "discrete":
-            return Combinations(self.combinations, self.pool, int(self.moves))
+            if self.moves:
+                return LeadsAndCombinations(self.combinations, self.pool, turn_per_step)
+            return Combinations(self.combinations, self.pool)
         if self.actions == "headings" and self.moves:
-            return Headings(len(odd), 1, math.radians(self.max_turn_rate_deg_s) * self.step_s, odd)
+            return Headings(len(odd), 1, turn_per_step, odd)
         return Continuous(len(odd), odd)
 
     def make_observation(self) -> RadarObservation:
         """Observation model."""
         return RadarObservation(
             self.dimensions, self.pool, self.steps, self.moves, self.retune_delay_s, self.range_sum_std_m,
-            self.std_range_m > 0.0, Promise(self, self.promised_scans) if self.promised_scans else None,
-            len(self.combinations),
+            self.std_range_m > 0.0,
+            Promise(self, self.promised_scans, self.durations_known) if self.promised_scans else None,
+            len(self.combinations), Foresight(self, FORESEEN_SCANS) if self.durations_known else None,
         )  # fmt: skip
 
     def make_truth_observation(self) -> RadarTruthObservation:
