@@ -11,7 +11,7 @@ from scipy.stats import binom, kstest, norm
 from agents.evaluation import fly
 from agents.policy import make_policy
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.actions import Combinations
+from passive_env.actions import LEADS_DEG, Combinations
 from passive_env.blockage import Stretches, blocked, blocked_next
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.passive_radar import PAPER_SITES_M, PassiveRadar
@@ -19,6 +19,7 @@ from passive_env.core import map_rows
 from passive_env.kinematics import plan_view
 from passive_env.radar_sensors import NEVER_S
 from passive_env.render_radar import sum_ellipse
+from passive_env.steering import lead_pursuit
 from trackers import RangeSumEkf
 from trackers.angles import wrap
 from trackers.axis_motion import axis_noise, axis_transition
@@ -154,8 +155,8 @@ def test_recorded_flights_enter_the_corridor_and_keep_their_shape():
     for path in np.concatenate([tape.acquisition.targets[:, :-1, 0], tape.targets[:, :, 0]], axis=1):
         speed = np.hypot(*path[:, 2:].T)
         at = [i for i in np.flatnonzero(np.isclose(np.hypot(*recorded[:, 3:5].T), speed[0], rtol=1e-12))
-              if np.allclose(np.hypot(*recorded[i : i + 50, 3:5].T), speed, rtol=1e-9)]  # fmt: skip
-        gaps = [np.hypot(*np.diff(p[:, :2], axis=0).T) for p in (path, recorded[at[0] : at[0] + 50])]
+              if np.allclose(np.hypot(*recorded[i : i + 60, 3:5].T), speed, rtol=1e-9)]  # fmt: skip
+        gaps = [np.hypot(*np.diff(p[:, :2], axis=0).T) for p in (path, recorded[at[0] : at[0] + 60])]
         np.testing.assert_allclose(*gaps, rtol=1e-9, atol=1e-6)
 
 
@@ -298,16 +299,37 @@ def test_discrete_actions_are_combinations_in_order():
     assert np.array_equal(env.step(np.array([9]))[0], twin.step(asking(*scenario.combinations[9])[0])[0])
 
 
-def test_discrete_actions_of_a_moving_receiver_turn_first():
-    codec = make_scenario(NAME, {"actions": "discrete", "transmitters": 4, **MOBILE}).make_actions()
-    assert codec.space.nvec.tolist() == [3, 6]
-    assert np.array_equal(codec.decode([[2, 5], [0, 0]], 2), [[1, -1, -1, 1, 1], [-1, 1, 1, -1, -1]])
-    assert np.array_equal(codec.encode(codec.decode([[1, 3]], 1)), [[1, 3]])
-    assert np.array_equal(codec.mirrored(np.array([[2, 5]])), [[0, 5]])
-    for bad in ([[3, 0]], [[0, 6]], [[-1, 0]], [[0.5, 0]], [[np.nan, 0]], [[1]]):
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_discrete_actions_of_a_moving_receiver_are_courses_off_lead_pursuit(dimensions):
+    fields = {"actions": "discrete", "transmitters": 4, "dimensions": dimensions, **MOBILE}
+    scenario = make_scenario(NAME, fields)
+    codec, pairs = scenario.make_actions(), len(scenario.combinations)
+    assert isinstance(codec, Combinations)
+    assert codec.space.nvec.tolist() == [len(LEADS_DEG), pairs]
+    simulation, world = begin(6, **fields)
+    world = world._replace(platforms=world.platforms.copy())
+    for lead, off in enumerate(np.radians(LEADS_DEG)):
+        actions = np.column_stack([np.full(6, lead), np.arange(6) % pairs])
+        belief = simulation.belief(world)
+        commands = codec.commands(codec.decode(actions, 6), belief)
+        aim = lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0]) + off
+        missing = np.degrees(wrap(aim - np.arctan2(*belief.platforms[:, 0, dimensions : dimensions + 2].T[::-1])))
+        np.testing.assert_allclose(commands[:, 0], np.clip(missing / 5.0, -1.0, 1.0), atol=1e-9)
+        assert np.array_equal(np.flatnonzero(commands[0, 1:] > 0), scenario.combinations[actions[0, 1]])
+        # turned onto the course, the choice that keeps it is found again
+        turned = world.platforms.copy()
+        speed = np.linalg.norm(turned[:, 0, dimensions : dimensions + 2], axis=1)
+        turned[:, 0, dimensions], turned[:, 0, dimensions + 1] = speed * np.cos(aim), speed * np.sin(aim)
+        on_course = simulation.belief(world._replace(platforms=turned))
+        kept = codec.commands(codec.decode(actions, 6), on_course)
+        np.testing.assert_allclose(kept[:, 0], 0.0, atol=1e-9)
+        assert np.array_equal(codec.encode(kept, on_course), actions)
+    assert np.array_equal(codec.mirrored(np.array([[2, 3]])), [[len(LEADS_DEG) - 3, 3]])
+    for bad in ([[len(LEADS_DEG), 0]], [[0, pairs]], [[-1, 0]], [[0.5, 0]], [[np.nan, 0]], [[1]]):
         with pytest.raises(ValueError, match="action"):
             codec.decode(bad, 1)
-    assert isinstance(codec, Combinations)
+    with pytest.raises(TypeError, match="need the belief"):
+        codec.encode(kept)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -348,15 +370,15 @@ def test_echoes_of_clear_transmitters_come_as_often_as_stated():
 def test_the_acquisition_listens_to_all_transmitters_in_turn():
     simulation, world = begin(3, transmitters=5, channels=2)
     sightings, times = simulation.sensors.acquire(world.tape)
-    assert np.array_equal(times, np.arange(10.0))
+    assert np.array_equal(times, np.arange(20.0))
     asked = [np.flatnonzero(sighting.listening.chosen[0]).tolist() for sighting in sightings]
     assert asked[:5] == [[0, 1], [2, 3], [0, 4], [1, 2], [3, 4]]
-    assert asked[5:] == asked[:5]
+    assert asked[5:10] == asked[10:15] == asked[15:] == asked[:5]
 
 
 def test_a_newly_chosen_transmitter_is_heard_after_the_delay():
     simulation, world = begin(1, retune_delay_s=3.0, **CLEAN)
-    assert np.flatnonzero(world.reports.listening.chosen[0]).tolist() == [2, 3]  # 10 scans of two of eight
+    assert np.flatnonzero(world.reports.listening.chosen[0]).tolist() == [6, 7]  # 20 scans of two of eight
     history = []
     for pair in [(2, 5)] * 4 + [(5, 6)] + [(2, 5)] * 4:
         world = simulation.advance(world, asking(*pair))[0]
@@ -418,7 +440,7 @@ def test_a_constant_heading_leads_to_the_target():
         env.step(np.hstack([np.zeros((12, 1)), np.random.default_rng(0).uniform(-1, 1, (12, 8))]))
     platforms, mean = env.world.platforms[:, 0], env.world.estimate.mean[:, 0]
     sight = mean[:, :2] - platforms[:, :2]
-    far = np.hypot(*sight.T) > 5e3  # nearer ones cross its nose faster than it turns
+    far = np.hypot(*sight.T) > 1e4  # nearer ones cross its nose faster than it turns
     off = wrap(np.arctan2(platforms[:, 3], platforms[:, 2]) - np.arctan2(sight[:, 1], sight[:, 0]))
     assert far.sum() >= 8
     assert np.abs(np.degrees(off[far])).max() < 6.0
@@ -709,7 +731,15 @@ def test_the_critic_knows_who_is_blocked():
     numbers, names = model(worlds[-1]), [field.name for field in model.fields]
     assert numbers.shape == (5, len(names))
     first = names.index("truth0.blocked0")
-    assert np.array_equal(numbers[:, first:], worlds[-1].tape.blocked[:, 4].astype(np.float32))
+    hidden = worlds[-1].tape.blocked
+    assert np.array_equal(numbers[:, first : first + 8], hidden[:, 4].astype(np.float32))
+    for scans in (5, 10, 20):
+        at = names.index(f"truth0.blocked0_in_{scans}")
+        np.testing.assert_allclose(numbers[:, at : at + 8], hidden[:, 5 : 5 + scans].mean(axis=1), rtol=1e-6)
+    assert (model.shared, len(names)) == (first, first + 32)
+    last = worlds[-1]._replace(step=np.full(5, hidden.shape[1] - 2))
+    at = names.index("truth0.blocked0_in_10")
+    assert np.array_equal(model(last)[:, at : at + 8], hidden[:, -1].astype(np.float32))  # as if it stayed so
     bound = 0.5 * np.log(worlds[-1].metrics.horizontal_crlb_m[:, 0] / 100.0)
     np.testing.assert_allclose(numbers[:, first - 1], bound, rtol=1e-5)
 
