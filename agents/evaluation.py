@@ -37,9 +37,13 @@ BASELINES = (
     "greedy",
     "skip",
     "bayes",
+    "timed",
     "hysteresis",
     "hold10",
+    "timed10",
+    "straight",
     "pursuit",
+    "timed_pursuit",
     "planner",
     "optimizer",
 )

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from agents.policy import Policy, sees_world
-from passive_env.core import World
-from passive_env.radar_promise import Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
+from passive_env.core import World, map_rows
+from passive_env.radar_promise import BLOCK, Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
 from passive_env.steering import lead_pursuit, towards
-from trackers.compiled import kernel
+from trackers.compiled import Blocks, kernel
 from trackers.range_sum import range_sum_row
 
 SKIP_S = 10.0
@@ -183,6 +183,50 @@ class BestFixed(Selection):
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
         return self._plan
+
+
+class Hindsight(Selection):
+    """Listens all the time to the combination that turns out to be best, which nobody can know.
+
+    Its error, summed over the very same episode, is the least of all: the episode is flown with every combination. A
+    receiver that moves flies straight on.
+    """
+
+    needs_world = True
+    _world: World
+
+    def __init__(self, scenario: Any):
+        super().__init__(scenario)
+        self._simulation = scenario.make_simulation()
+        self._plan = np.empty(0, dtype=int)
+
+    def see(self, world: World) -> None:
+        """Look at the truth."""
+        self._world = world
+
+    def reset(self, belief: RadarBelief) -> None:
+        """Fly."""
+        blocks = Blocks(len(belief.mean), block=BLOCK)
+        self._plan = np.concatenate(blocks.map(self._fly, blocks.slices))
+
+    def choose(self, belief: RadarBelief) -> np.ndarray:
+        """Numbers [e] of the combinations to listen to."""
+        return self._plan
+
+    def _fly(self, rows: slice) -> np.ndarray:
+        """Numbers of the best combinations of some episodes."""
+        start = map_rows(lambda part: part[rows], self._world)
+        return np.argmin([self._error(start, chosen) for chosen in self._combinations], axis=0)
+
+    def _error(self, world: World, chosen: np.ndarray) -> np.ndarray:
+        """Summed position errors [e] from a world to the end, with one combination."""
+        scores = scores_of(np.tile(chosen, (len(world.step), 1)), self._scenario.pool)
+        command = np.concatenate([np.zeros((len(scores), int(self._scenario.moves))), scores], axis=1)
+        total = np.zeros(len(scores))
+        for _ in range(self._scenario.steps - int(world.step[0])):
+            world = self._simulation.advance(world, command)[0]
+            total += world.metrics.position_error_m[:, 0]
+        return total
 
 
 # -- searches ----------------------------------------------------------------------------------------------------------
@@ -357,6 +401,7 @@ Maker = Callable[[Any, int], Policy]
 
 RULES: dict[str, Maker] = {
     "best_fixed": lambda scenario, seed: BestFixed(scenario),
+    "hindsight": lambda scenario, seed: Hindsight(scenario),
     "angle": lambda scenario, seed: ByShape(scenario, "angle"),
     "triangle": lambda scenario, seed: ByShape(scenario, "triangle"),
     "nearest": lambda scenario, seed: ByShape(scenario, "nearest"),

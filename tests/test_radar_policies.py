@@ -99,6 +99,18 @@ def test_names_offered_follow_the_scenario():
 # -------------------------------------------------------------------------------------------------------------- rules
 
 
+def test_hindsight_is_the_best_that_always_listens_to_the_same():
+    scenario = small(transmitters=4, steps=30)
+    best = fly(scenario, make_policy("hindsight", scenario), 6, 40)
+    every = []
+    for number in range(6):
+        policy: Any = make_policy("fixed", scenario)
+        policy.choose = lambda belief, number=number: np.full(len(belief.steps_left), number)
+        every.append(fly(scenario, policy, 6, 40).mean.ravel())
+    np.testing.assert_allclose(best.mean.ravel(), np.min(every, axis=0), rtol=1e-12)
+    assert len(set(np.argmin(every, axis=0))) > 1
+
+
 def test_round_robin_gives_every_combination_as_many_scans():
     scenario = small(steps=56)
     policy = RoundRobin(scenario)
