@@ -214,11 +214,16 @@ class SumReceiver:
         self._tuned = np.array([r.channels, 0.0, *rest])
         self._share, self._renewal = stretches.share, Renewal(stretches, r.step_s, r.echo_probability)
 
-    def acquire(self, tape: RadarTape) -> tuple[list[RadarSighting], Any]:
+    def acquire(self, tape: RadarTape, expected: Any = None) -> tuple[list[RadarSighting], Any]:
         """The scans from which a track is started, every transmitter in its turn, and their times [t] s.
 
         Before the first decision receivers wait for nothing: each of these scans has all its echoes.
+
+        Args:
+            tape: of the episodes.
+            expected: [e, 2d] target's state at the first scan, for which standard deviations are told; None: the guess.
         """
+        expected = tape.guess if expected is None else expected
         a, n = tape.acquisition.noise.shape[1:]
         times = self._receiver.step_s * np.arange(a)
         d, platforms = tape.transmitters.shape[-1], tape.platforms
@@ -227,12 +232,12 @@ class SumReceiver:
             turn = (np.arange(n) - t * self._receiver.channels) % n < self._receiver.channels
             at = platforms.copy()
             at[..., :d] += platforms[..., d:] * (times[t] - times[-1])
-            guess = tape.guess.copy()
-            guess[:, :d] += guess[:, d:] * times[t]
+            place = expected.copy()
+            place[:, :d] += place[:, d:] * times[t]
             scores = np.broadcast_to(turn.astype(float), (len(at), n))
             step = np.full(len(at), t)
             sightings.append(
-                self._sense(tape.acquisition, step, at, tape.transmitters, scores, known, guess[:, None], self._tuned)
+                self._sense(tape.acquisition, step, at, tape.transmitters, scores, known, place[:, None], self._tuned)
             )
             known = sightings[-1].listening
         waiting = np.where(known.chosen, 0.0, self._receiver.retune_delay_s)

@@ -492,6 +492,8 @@ def _transmitters(u, limits, like, sites):
 CATALOGUE: dict[str, PassiveRadar] = {
     "PassiveRadar": PassiveRadar(),
     "PassiveRadarRetune": PassiveRadar(retune_delay_s=5.0),
-    "MobileReceiver": PassiveRadar(receiver_speed_m_s=200.0, std_range_m=50e3, actions="headings"),
+    "MobileReceiver": PassiveRadar(
+        receiver_speed_m_s=200.0, std_range_m=50e3, actions="headings", tracker="ekf_second_order"
+    ),
 }
 """This module's scenarios by name; each becomes the environment ``passive/NAME-v0``."""
