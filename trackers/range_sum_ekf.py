@@ -65,6 +65,7 @@ class RangeSumEkf:
     inflation: float = 100.0
     floor_m: float = 0.0
     second_order: bool = False
+    turning_m_s2: float = 0.0
 
     def __post_init__(self) -> None:
         w = np.array(self.process_noise, dtype=float)
@@ -101,7 +102,7 @@ class RangeSumEkf:
         Raises:
             ValueError: shapes that do not belong together, entries that are not finite, times out of order.
         """
-        start = start_range_sums(scans, guess, times_s, self.noise, self.floor_m)
+        start = start_range_sums(scans, guess, times_s, self.noise, self.floor_m, self.turning_m_s2)
         return RangeSumTrack(start.mean, start.cov, np.zeros(start.mean.shape[:-1]))
 
     def predict(self, state: RangeSumTrack, step_s: float) -> RangeSumTrack:

@@ -36,12 +36,15 @@ SETTLED = 1e-12
 PLAUSIBLE = 5.0
 """A minimum so many standard deviations above what noise explains is taken for a local one."""
 
-ATTEMPTS = 6
+ATTEMPTS = 18
+LEAST_ACCELERATION_VAR = 1e-14
 UNDER_GROUND = 1e12
 """Added to the cost of a minimum below the ground: any other is better."""
 
 
-def start_range_sums(scans: RangeSumScan, guess: Gaussian, times_s, acceleration_var, floor_m: float) -> Gaussian:
+def start_range_sums(
+    scans: RangeSumScan, guess: Gaussian, times_s, acceleration_var, floor_m: float, turning_m_s2: float = 0.0
+) -> Gaussian:
     """State at the last of t scans.
 
     Args:
@@ -68,7 +71,7 @@ def start_range_sums(scans: RangeSumScan, guess: Gaussian, times_s, acceleration
     sums, valid, std = (_spread(part, (len(times), n)) for part in (scans.range_sums, scans.valid, scans.std))
     sites, receiver = _spread(scans.transmitters, (len(times), n, mean.shape[-1] // 2)), scans.receiver
     receiver = _spread(receiver, (len(times), mean.shape[-1] // 2))
-    return Gaussian(*_start(mean, cov, sums, valid, sites, receiver, std, times, acceleration_var, floor_m))
+    return Gaussian(*_start(mean, cov, sums, valid, sites, receiver, std, times, acceleration_var, turning_m_s2, floor_m))
 
 
 def _spread(part, core: tuple[int, ...]):
@@ -106,18 +109,25 @@ def mirror_up(x, P, floor):
 
 @helper
 def _place(x, t, d, p):
-    """p [d], where x [2d] is after t seconds."""
+    """p [d], where x [3d] is after t seconds."""
     for i in range(d):
-        p[i] = x[i] + t * x[d + i]
+        p[i] = x[i] + t * (x[d + i] + 0.5 * t * x[2 * d + i])
 
 
 @helper
-def _cost(x, mean, W, sums, used, transmitters, receiver, std, times, p, row, d):
+def _cost(x, prior, scans, cells, scratch, d):
     """Twice the negative log posterior, but for a constant."""
+    (mean, W), (sums, used, transmitters, receiver, std, times) = prior, scans
+    (slopes, places, widths), (p, row) = cells, scratch
     total = 0.0
-    for i in range(2 * d):
-        for j in range(2 * d):
+    for i in range(3 * d):
+        for j in range(3 * d):
             total += (x[i] - mean[i]) * W[i, j] * (x[j] - mean[j])
+    for k in range(places.shape[0]):
+        miss = -places[k]
+        for i in range(3 * d):
+            miss += slopes[k, i] * x[i]
+        total += (miss / widths[k]) ** 2
     for t in range(sums.shape[0]):
         _place(x, times[t], d, p)
         for s in range(sums.shape[1]):
@@ -128,37 +138,46 @@ def _cost(x, mean, W, sums, used, transmitters, receiver, std, times, p, row, d)
 
 
 @helper
-def _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d):
-    """N = JᵀJ + W [2d, 2d] and the downhill gradient g [2d] at x."""
-    for i in range(2 * d):
+def _normal_equations(x, prior, scans, cells, N, g, scratch, d):
+    """N = JᵀJ + W [3d, 3d] and the downhill gradient g [3d] at x."""
+    (mean, W), (sums, used, transmitters, receiver, std, times) = prior, scans
+    (slopes, places, widths), (p, row) = cells, scratch
+    for i in range(3 * d):
         g[i] = 0.0
-        for j in range(2 * d):
+        for j in range(3 * d):
             N[i, j] = W[i, j]
             g[i] -= W[i, j] * (x[j] - mean[j])
+    for k in range(places.shape[0]):
+        miss, weight = places[k], 1.0 / (widths[k] * widths[k])
+        for i in range(3 * d):
+            miss -= slopes[k, i] * x[i]
+        for i in range(3 * d):
+            g[i] += weight * slopes[k, i] * miss
+            for j in range(3 * d):
+                N[i, j] += weight * slopes[k, i] * slopes[k, j]
     for t in range(sums.shape[0]):
         _place(x, times[t], d, p)
+        lever = (1.0, times[t], 0.5 * times[t] * times[t])
         for s in range(sums.shape[1]):
             if used[t, s]:
                 weight = 1.0 / (std[t, s] * std[t, s])
                 miss = weight * (sums[t, s] - range_sum_row(p, receiver[t], transmitters[t, s], row, d))
-                for i in range(d):
-                    g[i] += row[i] * miss
-                    g[d + i] += times[t] * row[i] * miss
-                    for j in range(d):
-                        info = weight * row[i] * row[j]
-                        N[i, j] += info
-                        N[i, d + j] += times[t] * info
-                        N[d + i, j] += times[t] * info
-                        N[d + i, d + j] += times[t] * times[t] * info
+                for m in range(3):
+                    for i in range(d):
+                        g[m * d + i] += lever[m] * row[i] * miss
+                        for n in range(3):
+                            for j in range(d):
+                                N[m * d + i, n * d + j] += weight * lever[m] * lever[n] * row[i] * row[j]
 
 
 @helper
-def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d):
-    """Levenberg–Marquardt from x [2d], in place; returns the cost and leaves N at the last x."""
-    n = 2 * d
+def _minimise(x, prior, scans, cells, normal, scratch, d):
+    """Levenberg–Marquardt from x [3d], in place; returns the cost and leaves N at the last x."""
+    n = 3 * d
+    N, A, g, step, trial = normal
     damping = FIRST_DAMPING
-    cost = _cost(x, mean, W, sums, used, transmitters, receiver, std, times, p, row, d)
-    _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d)
+    cost = _cost(x, prior, scans, cells, scratch, d)
+    _normal_equations(x, prior, scans, cells, N, g, scratch, d)
     for _ in range(ITERATIONS):
         for i in range(n):
             step[i] = g[i]
@@ -170,13 +189,13 @@ def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, 
         for i in range(n):
             trial[i] = x[i] + step[i]
             length += step[i] * g[i]
-        found = _cost(trial, mean, W, sums, used, transmitters, receiver, std, times, p, row, d)
+        found = _cost(trial, prior, scans, cells, scratch, d)
         if found < cost:
             cost = found
             damping *= 0.2
             for i in range(n):
                 x[i] = trial[i]
-            _normal_equations(x, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d)
+            _normal_equations(x, prior, scans, cells, N, g, scratch, d)
         else:
             damping *= 5.0
         if length < SETTLED or damping > LARGEST_DAMPING:
@@ -186,61 +205,118 @@ def _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, 
 
 @helper
 def _invert_into(A, n, inverse):
-    """inverse [n, n] = A⁻¹ of symmetric positive definite A, which is overwritten."""
+    """inverse [n, n] = A⁻¹ of symmetric positive definite A, which is overwritten by its factor; returns log √det A."""
     cholesky_in_place(A)
+    log_det = 0.0
     for i in range(n):
+        log_det += math.log(A[i, i])
         for j in range(n):
             inverse[i, j] = 1.0 if i == j else 0.0
         solve_with_factor(A, inverse[i])
+    return log_det
 
 
 @helper
 def _begin(attempt, mean, cov, best, floor, d, x):
-    """Where an attempt starts, into x [2d]: the guess, the best so far turned up, the guess a σ off along x or y."""
-    for i in range(2 * d):
+    """Where an attempt starts, into x [3d]: the guess, the best so far turned up, places off the guess along x and y."""
+    for i in range(3 * d):
         x[i] = best[i] if attempt == 1 else mean[i]
     if attempt == 1 and d == 3:
-        x[2], x[5] = 2.0 * floor - x[2], -x[5]
+        x[2], x[5], x[8] = 2.0 * floor - x[2], -x[5], -x[8]
     if attempt >= 2:
-        axis = (attempt - 2) // 2
-        x[axis] += math.sqrt(cov[axis, axis]) * (1.0 if attempt % 2 == 0 else -1.0)
+        away = 1.0 if attempt < 10 else 2.5
+        angle = 0.25 * math.pi * (2 * ((attempt - 2) % 4) + (attempt - 2) // 4)
+        x[0] += away * math.sqrt(cov[0, 0]) * math.cos(angle)
+        x[1] += away * math.sqrt(cov[1, 1]) * math.sin(angle)
 
 
-@kernel("(a),(a,a),(t,n),(t,n),(t,n,d),(t,d),(t,n),(t),(w),()->(a),(a,a)", "FFFBFFFFFfFF")
-def _start(mean, cov, sums, valid, transmitters, receiver, std, times, w, floor, best, P):
-    n = mean.shape[0]
-    d = n // 2
-    N, A, W, used = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(valid.shape, np.bool_)
-    x, g, step, trial, p, row = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(d), np.empty(d)
+@helper
+def _fit(prior, scans, cells, cov, floor, count, normal, scratch, best, x, d):
+    """The least minimum of all attempts, into best [3d]; returns its cost."""
+    least = math.inf
+    for attempt in range(ATTEMPTS):
+        _begin(attempt, prior[0], cov, best, floor, d, x)
+        cost = _minimise(x, prior, scans, cells, normal, scratch, d)
+        if d == 3 and x[2] < floor:
+            cost += UNDER_GROUND
+        if cost < least:
+            least = cost
+            for i in range(3 * d):
+                best[i] = x[i]
+        if least <= count + PLAUSIBLE * math.sqrt(2.0 * count):
+            break
+    return least
+
+
+@helper
+def _prior(mean, cov, times, w, turning, wide, P, rest, d):
+    """Mean wide [3d] and covariance P [3d, 3d] with the mean acceleration; rest [2d, 2d] is what noise adds to both.
+
+    White accelerations change the velocity by that of their mean, exactly; what they add to the position besides is a
+    bridge that does not depend on it, rest.
+    """
+    last = times[times.shape[0] - 1]
+    for i in range(2 * d):
+        for j in range(2 * d):
+            rest[i, j] = 0.0
+    before = 0.0
+    for t in range(times.shape[0]):
+        move_axes(wide, rest, times[t] - before, d)
+        add_axis_noise(rest, times[t] - before, w, 1.0, d)
+        before = times[t]
+    for i in range(3 * d):
+        wide[i] = mean[i] if i < 2 * d else 0.0
+        for j in range(3 * d):
+            P[i, j] = cov[i, j] if i < 2 * d and j < 2 * d else 0.0
+    for i in range(d):
+        share = rest[d + i, d + i] / (last * last) if last > 0.0 else 0.0
+        P[2 * d + i, 2 * d + i] = max(share + turning * turning, LEAST_ACCELERATION_VAR)
+        rest[i, i] -= 0.25 * last**4 * share
+        rest[i, d + i] -= 0.5 * last**3 * share
+        rest[d + i, i] = rest[i, d + i]
+        rest[d + i, d + i] = 0.0
+
+
+@helper
+def _carry(x, P, t, x_out, P_out, d):
+    """x [3d] and P [3d, 3d] after t seconds, without the acceleration, into x_out [2d] and, added to it, P_out."""
+    for i in range(d):
+        x_out[i] = x[i] + t * (x[d + i] + 0.5 * t * x[2 * d + i])
+        x_out[d + i] = x[d + i] + t * x[2 * d + i]
+    lever = ((1.0, t, 0.5 * t * t), (0.0, 1.0, t))
+    for a in range(2):
+        for b in range(2):
+            for i in range(d):
+                for j in range(d):
+                    for m in range(3):
+                        for q in range(3):
+                            P_out[a * d + i, b * d + j] += lever[a][m] * lever[b][q] * P[m * d + i, q * d + j]
+
+
+@kernel("(a),(a,a),(t,n),(t,n),(t,n,d),(t,d),(t,n),(t),(w),(),()->(a),(a,a)", "FFFBFFFFFffFF")
+def _start(mean, cov, sums, valid, transmitters, receiver, std, times, w, turning, floor, x_out, P_out):
+    d, last = mean.shape[0] // 2, times[times.shape[0] - 1]
+    n = 3 * d
+    N, A, W, P, used = np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty((n, n)), np.empty(valid.shape, np.bool_)
+    wide, best, x, g, step, trial = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    scratch, normal = (np.empty(d), np.empty(d)), (N, A, g, step, trial)
+    none = (np.empty((0, n)), np.empty(0), np.empty(0))
     count = 0.0
     for t in range(sums.shape[0]):
         for s in range(sums.shape[1]):
             short = short_of_baseline(sums[t, s], std[t, s], receiver[t], transmitters[t, s], d)
             used[t, s] = valid[t, s] and not short
             count += 1.0 if used[t, s] else 0.0
-    copy_gaussian(mean, cov, n, best, A)
+    _prior(mean, cov, times, w, turning, wide, P, P_out, d)
+    A[:] = P
     _invert_into(A, n, W)
-    least = math.inf
-    for attempt in range(ATTEMPTS):
-        _begin(attempt, mean, cov, best, floor, d, x)
-        cost = _minimise(x, mean, W, sums, used, transmitters, receiver, std, times, N, A, g, step, trial, p, row, d)
-        if d == 3 and x[2] < floor:
-            cost += UNDER_GROUND
-        if cost < least:
-            least = cost
-            for i in range(n):
-                best[i] = x[i]
-        if least <= count + PLAUSIBLE * math.sqrt(2.0 * count):
-            break
-    _normal_equations(best, mean, W, sums, used, transmitters, receiver, std, times, N, g, p, row, d)
+    scans, prior = (sums, used, transmitters, receiver, std, times), (wide, W)
+    _fit(prior, scans, none, cov, floor, count, normal, scratch, best, x, d)
+    _normal_equations(best, prior, scans, none, N, g, scratch, d)
     _invert_into(N, n, P)
-    before = 0.0
-    for t in range(times.shape[0]):
-        move_axes(best, P, times[t] - before, d)
-        add_axis_noise(P, times[t] - before, w, 1.0, d)
-        before = times[t]
+    _carry(best, P, last, x_out, P_out, d)
     if d == 3:
-        mirror_up(best, P, floor)
+        mirror_up(x_out, P_out, floor)
 
 
 # -- the paper's own --------------------------------------------------------------------------------------------------
