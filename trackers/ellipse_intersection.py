@@ -29,7 +29,7 @@ SINGULAR = 1e-9
 """Distance of a site, in units of the largest, from the span of the others at which no line follows."""
 
 DECISIVE = 9.0
-"""Difference of two roots' χ² misfits from which on the fit decides, not the side."""
+"""Difference of two roots' χ² misfits, each after the best small move, from which on the fit decides, not the side."""
 
 IMPOSSIBLE = 1e300
 """Misfit of a root that is none."""
@@ -113,11 +113,26 @@ def pick_root(roots: Intersections, scan, side):
         index [...] of the root, 0 or 1, and whether there is one [...].
     """
     sums, valid, transmitters, receiver, std = map(np.asarray, scan)
-    told = range_sum(roots.position, receiver[..., None, :], transmitters[..., None, :, :])
-    miss = np.where(valid, 1.0 / std, 0.0)[..., None, :] * (told - sums[..., None, :])
-    misfit = np.where(roots.valid, np.square(miss).sum(-1), IMPOSSIBLE)
+    sites, site = transmitters[..., None, :, :], receiver[..., None, :]
+    weight = np.where(valid, 1.0 / std, 0.0)[..., None, :]
+    miss = weight * (range_sum(roots.position, site, sites) - sums[..., None, :])
+    H = weight[..., None] * range_sum_jacobian(roots.position, site, sites)
+    misfit = np.where(roots.valid, _left_over(miss, H), IMPOSSIBLE)
     undecided = np.abs(misfit[..., 1] - misfit[..., 0]) < DECISIVE
     return np.where(undecided, np.where(np.asarray(side) >= 0.0, 0, 1), misfit.argmin(-1)), roots.valid.any(-1)
+
+
+def _left_over(miss, H):
+    """Squared length [...] of misses [..., n] that no small move of slopes H [..., n, d] takes away.
+
+    A root is as uncertain as the sums it comes from, more so where they hardly cross: what its move explains is no
+    reason against it.
+    """
+    g = np.einsum("...ni,...n->...i", H, miss)
+    N = np.swapaxes(H, -1, -2) @ H
+    N = N + (1e-12 * np.trace(N, axis1=-2, axis2=-1) + 1e-300)[..., None, None] * np.eye(H.shape[-1])
+    explained = (g * np.linalg.solve(N, g[..., None])[..., 0]).sum(-1)
+    return np.maximum(np.square(miss).sum(-1) - explained, 0.0)
 
 
 @helper

@@ -10,8 +10,8 @@ With `second_order` a sum's curvature counts: it lengthens the expected sum and 
 second-order filter). Near a site, where noise that grows with the ranges is small, the plain filter takes itself for
 far better than it is and may lose a target that is passed closely.
 
-A scan that even the widened prediction misses by far belongs to a track that is elsewhere: at a target's ghost, say, when
-a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`.
+A scan that even the widened prediction misses by far belongs to a track that is elsewhere: at a target's ghost, say,
+when a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`.
 
 Where all sites lie level, a target and its mirror image below them have the same range sums. An estimate below the
 ground is therefore turned up again, position, velocity and covariance: the mirror's own track.
@@ -128,7 +128,13 @@ class RangeSumEkf:
         return RangeSumTrack(start.mean, start.cov, np.zeros(start.mean.shape[:-1]))
 
     def predict(self, state: RangeSumTrack, step_s: float) -> RangeSumTrack:
-        """Propagate all tracks by one step."""
+        """Propagate all tracks by one step.
+
+        Raises:
+            ValueError: a step that is negative or not finite.
+        """
+        if not 0.0 <= step_s < np.inf:
+            raise ValueError(f"predict: step_s = {step_s!r}: must be finite and not negative [s]")
         mean, cov = _predict(state.mean, state.cov, step_s, self.noise)
         return RangeSumTrack(mean, cov, np.full(mean.shape[:-1], float(step_s)))
 
@@ -179,7 +185,11 @@ class RangeSumEkf:
 
 @dataclass(frozen=True)
 class RangeSumEkfLiteral(RangeSumEkf):
-    """Without the maneuver test: the paper's sections 2 and 3.1."""
+    """Without the maneuver test, and so without a restart: the filter of the paper's section 2.
+
+    It starts as the other does, from a batch; the paper's own start, one step a scan, is
+    `trackers.range_sum_start.fixed_damping_step`.
+    """
 
     false_alarm: float = 0.0
 

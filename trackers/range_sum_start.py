@@ -45,6 +45,9 @@ PLAUSIBLE = 5.0
 ATTEMPTS = 18
 """The guess, the best so far turned up, eight places a standard deviation off the guess, eight 2.5 of them off."""
 
+LEAST_DEFINITE = 1e-12
+"""Least eigenvalue of the guess's correlations."""
+
 PROBED = 1.5
 """Standard deviations from the mode, along the widest ways, at which the posterior is compared with a Gaussian …"""
 
@@ -124,7 +127,22 @@ def _checked_guess(guess: Gaussian, d: int) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError("guess: mean and cov must be finite")
     if not (np.diagonal(cov, axis1=-2, axis2=-1) > 0.0).all():
         raise ValueError("guess.cov: variances must be positive")
+    if not _positive_definite(cov):
+        raise ValueError("guess.cov: must be symmetric and positive definite; no direction may be known exactly")
     return mean, cov
+
+
+def _positive_definite(cov: np.ndarray) -> bool:
+    """Whether all covariances [..., n, n] of positive variances are symmetric and, beyond rounding, definite."""
+    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    correlation = cov / (std[..., :, None] * std[..., None, :])
+    if not np.allclose(correlation, np.swapaxes(correlation, -1, -2), rtol=0.0, atol=1e-9):
+        return False
+    try:
+        np.linalg.cholesky(correlation - LEAST_DEFINITE * np.eye(cov.shape[-1]))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 @helper
@@ -250,7 +268,7 @@ def _invert_into(A, n, inverse):
 
 @helper
 def _begin(attempt, mean, cov, best, floor, d, x):
-    """Where an attempt starts, into x [3d]: the guess, the best so far turned up, places off the guess along x and y."""
+    """Where an attempt starts, into x [3d]: the guess, the best so far turned up, places level with the guess."""
     for i in range(3 * d):
         x[i] = best[i] if attempt == 1 else mean[i]
     if attempt == 1 and d == 3:
@@ -390,7 +408,7 @@ def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
     slab's part is taken for a Gaussian about its own mode.
     """
     n, ways = 3 * d, d - 1
-    N, A, g, step, trial = normal
+    N, trial = normal[0], normal[4]
     slopes, places, widths = np.empty((2, n)), np.empty(2), np.empty(2)
     sigma, reach = np.empty(2), np.zeros(2, np.int64)
     least = _cost(best, prior, scans, none, scratch, d)
