@@ -11,7 +11,8 @@ second-order filter). Near a site, where noise that grows with the ranges is sma
 far better than it is and may lose a target that is passed closely.
 
 A scan that even the widened prediction misses by far belongs to a track that is elsewhere: at a target's ghost, say,
-when a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`.
+when a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`;
+where the scan has too few sums for that, the track coasts.
 
 Where all sites lie level, a target and its mirror image below them have the same range sums. An estimate below the
 ground is therefore turned up again, position, velocity and covariance: the mirror's own track.
@@ -280,7 +281,10 @@ def _update(
         copy_gaussian(x, P, 2 * d, x_out, P_out)
         add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
         squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, curved, scratch, x_out, P_out, d)
-        lost[0] = squared >= thresholds[1, count] and count >= d
+        lost[0] = squared >= thresholds[1, count]
+        if lost[0] and count < d:  # too few to tell where it is instead: coast
+            copy_gaussian(x, P, 2 * d, x_out, P_out)
+            lost[0] = False
     log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + squared) - log_det
     if d == 3:
         mirror_up(x_out, P_out, floor)
