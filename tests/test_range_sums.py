@@ -475,7 +475,7 @@ def ghost_track(runs, further):
 def test_a_third_echo_brings_a_ghost_track_home(further):
     """Specification, section 6: the branch is rejected by its large J, and the track is the target's from then on."""
     path, scans, guess = ghost_track(50, further)
-    for restart_std_m, at_home in ((20e3, True), (0.0, False)):
+    for restart_std_m, at_home in ((10e3, True), (0.0, False)):
         tracks, _ = follow(RangeSumEkf(restart_std_m=restart_std_m), scans, 10, guess)
         off = [np.linalg.norm(t.mean[:, :2] - path[:, 10 + k, :2], axis=-1) for k, t in enumerate(tracks)]
         assert (off[further - 11] > 30e3).all()
@@ -508,6 +508,26 @@ def test_restart_of_some_tracks_leaves_the_others():
     np.testing.assert_array_equal(
         tracker.update(state, few).posterior.mean, replace(tracker, restart_std_m=0.0).update(state, few).posterior.mean
     )
+
+
+def test_a_runaway_is_caught():
+    """A track 7 km off that claims 50 m: restarted it comes home sooner, and is not flung about in the meantime."""
+    rng, pool = np.random.default_rng(78), np.concatenate([POOR, GOOD])[:, :2]
+    path = fly(rng, 200, 60, np.array([20e3, 30e3, -150.0, 100.0]))
+    scans = hear(rng, path, pool, np.zeros(2), share=0.4)
+    course = rng.uniform(0.0, 2.0 * np.pi, 200)
+    mean = path[:, 0] + 7e3 * np.stack([np.cos(course), np.sin(course), 0 * course, 0 * course], -1)
+    cov = np.broadcast_to(np.diag([50.0, 50.0, 10.0, 10.0]) ** 2, (200, 4, 4))
+    off = {}
+    for restart_std_m in (0.0, 10e3):
+        tracker, state = RangeSumEkf(restart_std_m=restart_std_m), RangeSumTrack(mean, cov, np.zeros(200))
+        off[restart_std_m] = np.empty((60, 200))
+        for k in range(60):
+            state = tracker.update(tracker.predict(state, 1.0), at(scans, k + 1)).posterior
+            off[restart_std_m][k] = np.linalg.norm(state.mean[:, :2] - path[:, k + 1, :2], axis=-1)
+    assert (off[10e3][-1] < 2e3).all()
+    assert off[10e3][:20].mean() < 0.6 * off[0.0][:20].mean()
+    assert off[10e3].max() < 0.7 * off[0.0].max()
 
 
 # -- start ------------------------------------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ second-order filter). Near a site, where noise that grows with the ranges is sma
 far better than it is and may lose a target that is passed closely.
 
 A scan that even the widened prediction misses by far belongs to a track that is elsewhere: at a target's ghost, say,
-when a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`;
-where the scan has too few sums for that, the track coasts.
+when a further transmitter answers. It is started anew from that scan, with the spread of `restart_std_m`. In space this
+takes three sums; in the plane one will do, for what it leaves open is an arc.
 
 Where all sites lie level, a target and its mirror image below them have the same range sums. An estimate below the
 ground is therefore turned up again, position, velocity and covariance: the mirror's own track.
@@ -80,7 +80,7 @@ class RangeSumEkf:
     floor_m: float = 0.0
     second_order: bool = False
     turning_m_s2: float = 0.0
-    restart_std_m: float = 20e3
+    restart_std_m: float = 10e3
 
     def __post_init__(self) -> None:
         w = np.array(self.process_noise, dtype=float)
@@ -162,7 +162,7 @@ class RangeSumEkf:
         """Start lost tracks [...] anew from their last scan alone.
 
         Where more sums were used than are needed, two of them (in space three) give the place and its ghost, and all
-        of them tell which it is; else the place that is nearest to where the track was.
+        of them tell which it is; else what is nearest to where the track was is likeliest.
         """
         d, shape = np.shape(scan.receiver)[-1], np.shape(lost)
         cores = (1, 1, 2, 1, 1)
@@ -281,10 +281,7 @@ def _update(
         copy_gaussian(x, P, 2 * d, x_out, P_out)
         add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
         squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, curved, scratch, x_out, P_out, d)
-        lost[0] = squared >= thresholds[1, count]
-        if lost[0] and count < d:  # too few to tell where it is instead: coast
-            copy_gaussian(x, P, 2 * d, x_out, P_out)
-            lost[0] = False
+        lost[0] = squared >= thresholds[1, count] and count >= 2 * d - 3
     log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + squared) - log_det
     if d == 3:
         mirror_up(x_out, P_out, floor)
