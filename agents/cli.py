@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, reproduce, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, reproduce, benchmark, list."""
 
 from __future__ import annotations
 
@@ -72,6 +72,36 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Leaderboard:
+    """Compare all policies in all environments, on drawn courses and held-out recorded flights.
+
+    Finished cells (a policy in a scenario) are kept in --out and used again where nothing that decides them has
+    changed, so an interrupted run goes on where it was. Writes leaderboard.json, .csv, .md and .png.
+    """
+
+    envs: tuple[str, ...] = ()
+    """Environment ids; default all."""
+    policies: tuple[str, ...] = ()
+    """Policy names (see `passive-env list`); default all that an environment offers, the oracle included."""
+    runs: tuple[str, ...] = ()
+    """Learned policies besides: ENV=DIR …, run folders made by train."""
+    episodes: int = 500
+    """Paired episodes of every cell."""
+    seed: int = 90_000_000
+    """Seed of the first episode."""
+    flights: bool = True
+    """Whether held-out recorded flights are flown too."""
+    trackers: bool = False
+    """Add the tables of trackers crossed with policies."""
+    generalisation: bool = False
+    """Add the tables of circumstances that learned policies were not trained in."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords of all environments named: NAME=VALUE …"""
+    out: Path = Path("leaderboard")
+    """Folder of the results and of the cells kept."""
+
+
+@dataclass(frozen=True)
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours."""
 
@@ -104,7 +134,10 @@ class List:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status (2 for bad input, with the reason on standard error)."""
-    commands = {"train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "benchmark": Benchmark, "list": List}
+    commands = {
+        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "reproduce": Reproduce,
+        "benchmark": Benchmark, "list": List,
+    }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
 
@@ -115,7 +148,10 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(command: Any) -> int:
-    runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
+    runners = {
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Reproduce: _reproduce, Benchmark: _benchmark,
+        List: _list,
+    }  # fmt: skip
     try:
         runners[type(command)](command)
     except (ValueError, TypeError, OSError) as error:
@@ -137,6 +173,15 @@ def _evaluate(c: Evaluate) -> None:
     from agents.main_job import compare
 
     compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
+
+
+def _leaderboard(c: Leaderboard) -> None:
+    from agents.leaderboard import leaderboard
+
+    leaderboard(
+        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.out,
+        parse_fields(c.fields),
+    )  # fmt: skip
 
 
 def _reproduce(c: Reproduce) -> None:

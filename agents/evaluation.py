@@ -81,6 +81,42 @@ LATE_STEPS, LATE_ERROR_M = 5, 1e3
 (2004) as specified, "lost A"."""
 
 
+PARTIAL = ("turn_position_error_m",)
+"""Errors that not every episode has."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What tables are made of: a policy's figures of e episodes, without their course.
+
+    Attributes:
+        score: the error that counts, "range" or "position".
+        errors: what policies are compared by, each [e] m (or m/s²): final and average errors, those of maneuvers, NaN
+            in episodes without any; by name in reports.
+        bounds: [e] m Cramér–Rao bounds at the end; by name in reports.
+        lost, collapsed, nees, standoff, nogo, state_size, decision_time_us, lost_late: as in `Record`.
+    """
+
+    score: str
+    errors: dict[str, np.ndarray]
+    bounds: dict[str, np.ndarray]
+    lost: np.ndarray
+    collapsed: np.ndarray
+    nees: np.ndarray
+    standoff: np.ndarray
+    nogo: np.ndarray
+    state_size: int
+    decision_time_us: float
+    lost_late: Any = None
+
+    @property
+    def samples(self) -> dict[str, np.ndarray]:
+        """The errors of the episodes that have them."""
+        return {
+            name: values[np.isfinite(values)] if name in PARTIAL else values for name, values in self.errors.items()
+        }
+
+
 @dataclass(frozen=True)
 class Record:
     """What a policy achieved; e episodes, k steps.
@@ -140,8 +176,8 @@ class Record:
         return ranges if self.score == "range" else {"position": (self.position_error_m, self.position_crlb_m)} | ranges
 
     @property
-    def samples(self) -> dict[str, np.ndarray]:
-        """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
+    def outcomes(self) -> Outcomes:
+        """The figures of every episode, without its course."""
         named = {}
         for kind, (error, _) in self.errors.items():
             named[f"final_{kind}_error_m"] = error[:, -1]
@@ -149,10 +185,19 @@ class Record:
         if self.scored_error_m is not None:
             named["scored_position_error_m"] = self.scored_error_m
         if self.turn_error_m is not None and np.isfinite(self.turn_error_m).any():
-            named["turn_position_error_m"] = self.turn_error_m[np.isfinite(self.turn_error_m)]
+            named["turn_position_error_m"] = self.turn_error_m
         if self.acceleration_error_m_s2 is not None:
             named["mean_acceleration_error_m_s2"] = self.acceleration_error_m_s2[:, 1:].mean(axis=1)
-        return named
+        bounds = {f"final_{kind}_crlb_m": bound[:, -1] for kind, (_, bound) in self.errors.items()}
+        return Outcomes(
+            self.score, named, bounds, self.lost, self.collapsed, self.nees, self.standoff, self.nogo, self.state_size,
+            self.decision_time_us, self.lost_late,
+        )  # fmt: skip
+
+    @property
+    def samples(self) -> dict[str, np.ndarray]:
+        """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
+        return self.outcomes.samples
 
     @property
     def error_m(self) -> np.ndarray:
@@ -332,41 +377,42 @@ def fly_all(
 
 def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dict[str, Any]:
     """The evaluation as plain data: figures per policy, ratios to the baselines with paired 95 % intervals."""
-    first = next(iter(records.values()))
-    episodes = len(first.final)
+    outcomes = {name: record.outcomes for name, record in records.items()}
+    first = next(iter(outcomes.values()))
     baselines = [name for name in BASELINES if name in records] or [next(iter(records))]
     return {
         "environment": environment,
-        "episodes": episodes,
+        "episodes": len(first.lost),
         "seed": seed,
         "state_size": first.state_size,
         "score": first.score,
-        "policies": {name: _figures(record) for name, record in records.items()},
+        "policies": {name: figures_of(flown) for name, flown in outcomes.items()},
         "ratios": {
-            base: {name: _ratios(record, records[base]) for name, record in records.items() if name != base}
+            base: {name: _ratios(flown, outcomes[base]) for name, flown in outcomes.items() if name != base}
             for base in baselines
         },
     }
 
 
-def _figures(record: Record) -> dict[str, Any]:
-    low, high = nees_scale(record.state_size).band
-    errors = {name: _statistics(values) for name, values in record.samples.items()}
-    bounds = {f"final_{kind}_crlb_m": float(bound[:, -1].mean()) for kind, (_, bound) in record.errors.items()}
-    late = {} if record.lost_late is None else _share(record.lost_late)
+def figures_of(flown: Outcomes) -> dict[str, Any]:
+    """A policy's figures as plain data."""
+    low, high = nees_scale(flown.state_size).band
+    errors = {name: _statistics(values) for name, values in flown.samples.items()}
+    bounds = {name: float(bound.mean()) for name, bound in flown.bounds.items()}
+    late = {} if flown.lost_late is None else _share(flown.lost_late)
     return (
         errors
         | late
         | {
-            "lost_share": float(record.lost.mean()),
-            "collapse_share": float(record.collapsed.mean()),
-            "standoff_share": float(record.standoff.mean()),
-            "nogo_share": float(record.nogo.mean()),
-            "final_nees": _statistics(record.nees),
-            "final_nees_in_band_share": float(((record.nees >= low) & (record.nees <= high)).mean()),
+            "lost_share": float(flown.lost.mean()),
+            "collapse_share": float(flown.collapsed.mean()),
+            "standoff_share": float(flown.standoff.mean()),
+            "nogo_share": float(flown.nogo.mean()),
+            "final_nees": _statistics(flown.nees),
+            "final_nees_in_band_share": float(((flown.nees >= low) & (flown.nees <= high)).mean()),
         }
         | bounds
-        | {"decision_time_us": record.decision_time_us}
+        | {"decision_time_us": flown.decision_time_us}
     )
 
 
@@ -385,11 +431,11 @@ def _statistics(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def _ratios(record: Record, base: Record) -> dict[str, Any]:
-    pairs = zip(record.samples.items(), base.samples.values(), strict=True)
+def _ratios(flown: Outcomes, base: Outcomes) -> dict[str, Any]:
+    pairs = zip(flown.samples.items(), base.samples.values(), strict=True)
     ratios = {name: ratio_of_means(values, other) for (name, values), other in pairs}
-    if record.lost_late is not None:
-        ratios["lost_late_share"] = difference_of_means(record.lost_late, base.lost_late)
+    if flown.lost_late is not None:
+        ratios["lost_late_share"] = difference_of_means(flown.lost_late, base.lost_late)
     return ratios
 
 

@@ -1,0 +1,156 @@
+"""Who takes part: the policies of an environment, what kind each is of, and what tells two of one name apart."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation import unique_names
+from agents.learned import CONFIG, MODEL, LearnedPolicy, read_config
+from agents.policy import Policy, make_policy, policy_names
+from passive_env.catalogue import environment_id, make_scenario, scenario_name
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "fixed": (
+        "paper", "paper_opposed", "paper_co_located", "paper_90", "fixed", "best_fixed", "straight", "random", "even",
+        "tripod", "round_robin",
+    ),
+    "rule": (
+        "rule", "rule_tuned", "rule_perpendicular", "rule_average", "rule_60", "rule_bend", "rule_best", "rule_static",
+        "perpendicular", "lead_lag", "split", "open", "angle", "triangle", "nearest", "repeat", "hold", "pursuit",
+    ),
+    "greedy": (
+        "greedy", "greedy_1", "greedy_4", "greedy_after_rule", "greedy_after_optimizer", "skip", "bayes", "hysteresis",
+        "hold10",
+    ),
+    "planner": ("planner", "optimizer"),
+    "learned": ("pretrained",),
+    "oracle": ("oracle",),
+}  # fmt: skip
+KINDS = tuple(_NAMES)
+"""Kinds of policies, in the order in which they are flown: what decides quickly comes first. A fixed one looks at
+nothing but the time, or only once; a rule is a formula of the belief; a greedy one weighs the next decision, a planner
+several or all of them; an oracle knows the truth."""
+
+KIND_OF: dict[str, str] = {name: kind for kind, names in _NAMES.items() for name in names}
+"""Kind of every policy that is known by name."""
+
+ESSENTIAL = (
+    "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "hysteresis", "pursuit", "pretrained",
+)  # fmt: skip
+"""Policies flown beside the reference geometry and learned ones where not the policies but the trackers, or the
+circumstances, are compared."""
+
+REFERENCES = ("paper", "fixed", "straight")
+"""Reference geometries, the first one offered counts."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A policy that takes part.
+
+    Attributes:
+        name: in tables.
+        kind: one of `KINDS`.
+        make: (scenario) → policy.
+        identity: of the file a learned one was loaded from; empty for those that are code only.
+    """
+
+    name: str
+    kind: str
+    make: Callable[[Any], Policy]
+    identity: str = ""
+
+
+def known_policies(scenario: Any) -> list[Contestant]:
+    """All that a scenario offers by name, the quick ones first.
+
+    Raises:
+        ValueError: a policy whose kind nobody has said.
+    """
+    found = [_known(name, scenario) for name in policy_names(scenario)]
+    return sorted(found, key=lambda one: KINDS.index(one.kind))
+
+
+def _known(name: str, scenario: Any) -> Contestant:
+    if name not in KIND_OF:
+        raise ValueError(f"policy {name!r} has no kind: name it in {__name__}, one of {', '.join(KINDS)}")
+    kind = KIND_OF[name]
+    identity = getattr(make_policy(name, scenario), "identity", "") if kind == "learned" else ""
+    return Contestant(name, kind, lambda chosen: make_policy(name, chosen), identity)
+
+
+def learned_policies(environment: str, folders: Sequence[str | Path]) -> list[Contestant]:
+    """The models of run folders: learned, learned_2, …
+
+    Raises:
+        FileNotFoundError, ValueError: no run folder, or a model of another environment or other observations.
+    """
+    names = unique_names(["learned"] * len(folders))
+    return [_learned(name, Path(folder), environment) for name, folder in zip(names, folders, strict=True)]
+
+
+def _learned(name: str, folder: Path, environment: str) -> Contestant:
+    def make(scenario: Any) -> Policy:
+        return LearnedPolicy(folder, environment, scenario.make_simulation())
+
+    read_config(folder)
+    make(make_scenario(environment, {}))  # a bad folder must fail before anything is flown
+    digest = hashlib.sha256((folder / CONFIG).read_bytes() + (folder / MODEL).read_bytes()).hexdigest()
+    return Contestant(name, "learned", make, digest)
+
+
+def run_folders(texts: Sequence[str], environments: Sequence[str]) -> dict[str, list[str]]:
+    """Run folders per environment id, from ``ENV=DIR`` as on a command line.
+
+    Raises:
+        ValueError: no equals sign, an unknown environment, or one that takes no part.
+    """
+    folders: dict[str, list[str]] = {}
+    for text in texts:
+        name, equals, folder = text.partition("=")
+        if not (equals and name and folder):
+            raise ValueError(f"--runs {text!r}: must be an environment and its run folder, ENV=DIR")
+        environment = environment_id(scenario_name(name))
+        if environment not in environments:
+            raise ValueError(f"--runs {text!r}: {environment} takes no part; name it after --envs")
+        folders.setdefault(environment, []).append(folder)
+    return folders
+
+
+def chosen(field: Sequence[Contestant], names: Sequence[str]) -> list[Contestant]:
+    """Those of these names; all where none is named. What was given as a run folder always takes part."""
+    return [one for one in field if not names or one.name in names or one.name not in KIND_OF]
+
+
+def check_names(names: Sequence[str], fields: Mapping[str, Sequence[Contestant]]) -> None:
+    """Refuse a name that no environment offers.
+
+    Raises:
+        ValueError: naming it and what there is.
+    """
+    offered = sorted({one.name for field in fields.values() for one in field})
+    for name in names:
+        if name not in offered:
+            raise ValueError(f"--policies {name!r}: no environment offers it; known are {', '.join(offered)}")
+
+
+def essential(field: Sequence[Contestant]) -> list[Contestant]:
+    """The reference geometry, the usual rules and greedy ones, and everything learned."""
+    offered = {one.name for one in field}
+    reference = next((name for name in REFERENCES if name in offered), "")
+    return [one for one in field if one.kind == "learned" or one.name in (reference, *ESSENTIAL)]
+
+
+def unfit(one: Contestant, scenario: Any) -> str:
+    """Why a learned policy cannot fly a scenario; empty if it can."""
+    if one.kind != "learned":
+        return ""
+    try:
+        one.make(scenario)
+    except ValueError as error:
+        return str(error)
+    return ""
