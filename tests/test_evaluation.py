@@ -686,6 +686,18 @@ def test_bad_input_to_train_is_refused_before_any_training(tmp_path, capsys, mon
 FLAGS = {
     "train": ("env", "algo", "timesteps", "seed", "envs", "device", "out", "resume", "episodes", "flights"),
     "evaluate": ("policies", "trackers", "episodes", "seed", "flights", "out"),
+    "leaderboard": (
+        "envs",
+        "policies",
+        "runs",
+        "episodes",
+        "seed",
+        "flights",
+        "trackers",
+        "generalisation",
+        "fields",
+        "out",
+    ),
     "reproduce": ("runs", "seeds", "out"),
     "benchmark": ("out", "quick"),
     "list": (),

@@ -21,10 +21,11 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "rule": (
         "rule", "rule_tuned", "rule_perpendicular", "rule_average", "rule_60", "rule_bend", "rule_best", "rule_static",
         "perpendicular", "lead_lag", "split", "open", "angle", "triangle", "nearest", "repeat", "hold", "pursuit",
+        "timed_pursuit",
     ),
     "greedy": (
         "greedy", "greedy_1", "greedy_4", "greedy_after_rule", "greedy_after_optimizer", "skip", "bayes", "hysteresis",
-        "hold10",
+        "hold10", "timed", "timed10",
     ),
     "planner": ("planner", "optimizer"),
     "learned": ("pretrained",),
@@ -39,7 +40,8 @@ KIND_OF: dict[str, str] = {name: kind for kind, names in _NAMES.items() for name
 """Kind of every policy that is known by name."""
 
 ESSENTIAL = (
-    "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "hysteresis", "pursuit", "pretrained",
+    "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "timed", "hysteresis", "timed10", "pursuit",
+    "timed_pursuit", "pretrained",
 )  # fmt: skip
 """Policies flown beside the reference geometry and learned ones where not the policies but the trackers, or the
 circumstances, are compared."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from agents.leaderboard.contestants import KINDS
 from agents.pictures import DPI, log_ticks, style_diagram
@@ -40,9 +41,9 @@ def overview(sections: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
         _panel(axes, title, {env: _named(entries, title) for env, entries in sections.items()})
     panels[0].set_yticks(range(len(sections)), [env.split("/")[-1] for env in sections], fontsize=10, color=INK)
     panels[0].set_ylim(len(sections) - 0.5, -0.5)
-    handles = {h.get_label(): h for axes in panels for h in axes.get_legend_handles_labels()[0]}
-    order = [name for name in (*KINDS, "bound") if name in handles]
-    figure.legend([handles[name] for name in order], order, loc="outside lower center", ncols=7, frameon=False)
+    shown = {label for axes in panels for label in axes.get_legend_handles_labels()[1]}
+    samples = [_dot(kind) for kind in KINDS if kind in shown] + [_stroke(13.0)] * ("bound" in shown)
+    figure.legend(handles=samples, loc="outside lower center", ncols=7, frameon=False, labelcolor=INK)
     return figure
 
 
@@ -70,13 +71,26 @@ def _row(axes: Axes, row: int, entry: Mapping[str, Any]) -> None:
     for kind, place in zip(kinds, places, strict=True):
         ratio = entry["policies"][entry["best"][kind]]["ratios"][metric]["mean"]
         axes.hlines(place, *ratio["ci95"], color=COLORS[kind], linewidth=1.6, zorder=3)
-        axes.plot(
-            ratio["ratio"], place, linestyle="", marker=MARKERS[kind], color=COLORS[kind], label=kind, zorder=4,
-            markersize=8.0 if kind == "oracle" else 6.0, markeredgecolor="white", markeredgewidth=0.6,
-        )  # fmt: skip
+        axes.add_line(_at(_dot(kind), ratio["ratio"], place))
     if metric.startswith("final"):
         share = entry["bound"]["mean"] / entry["policies"][entry["reference"]][metric]["mean"]
-        axes.plot(
-            share, row, linestyle="", marker="|", color=BOUND, label="bound", markersize=26, markeredgewidth=1.4,
-            zorder=2,
-        )  # fmt: skip
+        axes.add_line(_at(_stroke(26.0), share, row))
+    axes.autoscale_view()
+
+
+def _dot(kind: str) -> Line2D:
+    return Line2D(
+        [], [], linestyle="", marker=MARKERS[kind], color=COLORS[kind], label=kind, zorder=4, markeredgecolor="white",
+        markersize=8.0 if kind == "oracle" else 6.0, markeredgewidth=0.6,
+    )  # fmt: skip
+
+
+def _stroke(length: float) -> Line2D:
+    return Line2D(
+        [], [], linestyle="", marker="|", color=BOUND, label="bound", markersize=length, markeredgewidth=1.4, zorder=2
+    )
+
+
+def _at(sign: Line2D, x: float, y: float) -> Line2D:
+    sign.set_data([x], [y])
+    return sign
