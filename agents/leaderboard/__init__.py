@@ -23,7 +23,7 @@ from agents.leaderboard.contestants import (
     run_folders,
     unfit,
 )
-from agents.leaderboard.report import as_markdown, write_leaderboard
+from agents.leaderboard.report import short_form, write_leaderboard
 from agents.leaderboard.standings import standing
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
@@ -61,7 +61,7 @@ def leaderboard(
     seed: int = 90_000_000, flights: bool = True, trackers: bool = False, generalisation: bool = False,
     out: Path = Path("leaderboard"), fields: dict[str, Any] | None = None, progress: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
-    """Fly what is missing, write the leaderboard and print it; returns its data.
+    """Fly what is missing, write the leaderboard and print its short form; returns its data.
 
     Arguments as in `agents.cli.Leaderboard`, fields as keywords of all scenarios.
 
@@ -83,7 +83,7 @@ def leaderboard(
         data["sections"].setdefault(table.section, {}).setdefault(table.environment, []).append(entry)
     data["about"]["seconds"] = time.perf_counter() - begin
     write_leaderboard(out, data)
-    print(f"{as_markdown(data)}\n\n{out}; cells: {flown}")
+    print(f"{short_form(data)}\n\n{out}; cells: {flown}")
     return data
 
 

@@ -14,7 +14,7 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,7 +58,7 @@ class Cell:
     episodes: int
     seed: int
 
-    @property
+    @cached_property
     def key(self) -> dict[str, Any]:
         """All that decides its outcome."""
         return {
@@ -73,7 +73,7 @@ class Cell:
             "code": code_digest(),
         }
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Fingerprint of the key."""
         return hashlib.sha256(json.dumps(self.key, sort_keys=True).encode()).hexdigest()[:16]

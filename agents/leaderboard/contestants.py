@@ -29,7 +29,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     ),
     "planner": ("planner", "optimizer"),
     "learned": ("pretrained",),
-    "oracle": ("oracle",),
+    "oracle": ("oracle", "hindsight"),
 }  # fmt: skip
 KINDS = tuple(_NAMES)
 """Kinds of policies, in the order in which they are flown: what decides quickly comes first. A fixed one looks at

@@ -221,6 +221,7 @@ def _caption(entry: Mapping[str, Any]) -> str:
     return (
         f"{entry['title'].capitalize()}, {entry['score']} error, tracker `{entry['tracker']}`. Ratios to "
         f"`{entry['reference']}`, the best fixed policy or rule ({entry['metrics'][entry['headline']]})."
+        + "".join(f" `{name}` does not fit: {why}." for name, why in entry["unfit"].items())
     )
 
 

@@ -19,8 +19,8 @@ HEADLINES = {
     MobilePlacement: "mean_position_error_m",
     PassiveRadar: "mean_position_error_m",
 }
-"""The error by which policies are ranked, where it is not the final one: that during maneuvers (where recorded flights
-have none, the time average), and the time average where every step counts alike."""
+"""The error by which policies are ranked, where it is not the final one: that during maneuvers (the time average, if
+not even half of the episodes have any), and the time average where every step counts alike."""
 
 CHUNK = 1_000_000
 """Numbers resampled at once."""
@@ -83,7 +83,7 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
     for name, figures in policies.items():
         for metric in metrics:
             figures[metric]["ci95"] = interval(drawn[name][metric].mean)
-    headline = _headline(scenario, metrics)
+    headline = _headline(scenario, {name: len(first.samples[name]) / len(first.lost) for name in metrics})
     best = _best_of_kinds(policies, headline)
     reference = _least([best[kind] for kind in ("fixed", "rule") if kind in best] or list(policies), policies, headline)
     for name, figures in policies.items():
@@ -105,11 +105,11 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
     }
 
 
-def _headline(scenario: Any, metrics: Mapping[str, str]) -> str:
-    """Name of the error by which policies are ranked."""
-    usual, average, *_ = metrics
+def _headline(scenario: Any, shares: Mapping[str, float]) -> str:
+    """Name of the error by which policies are ranked; shares: of episodes that have each, by name."""
+    usual, average, *_ = shares
     wanted = next((name for family, name in HEADLINES.items() if isinstance(scenario, family)), usual)
-    return wanted if wanted in metrics else average
+    return wanted if shares.get(wanted, 0.0) > 0.5 else average
 
 
 def _best_of_kinds(policies: Mapping[str, Any], headline: str) -> dict[str, str]:
