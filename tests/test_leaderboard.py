@@ -642,21 +642,24 @@ def test_head_says_what_it_was_made_with_and_no_computers_name(run):
     ):
         assert str(part) in text
     (command,) = (line.strip() for line in text.splitlines() if line.startswith("    passive-env leaderboard"))
-    assert command == "passive-env leaderboard --episodes 6 --seed 400 --trackers --generalisation --fields steps=4"
-    told = {
+    assert command == (
+        "passive-env leaderboard --envs TwoStation passive/Ownship-v0 --fields steps=4 --episodes 6 --seed 400 "
+        "--trackers --generalisation"
+    )
+    made_with = {
         "date",
         "episodes",
         "seed",
         "fields",
+        "command",
         "processor",
         "cores",
         "platform",
         "versions",
         "commit",
         "code",
-        "cells",
     }
-    assert set(about) == told | {"seconds"}
+    assert set(about) == made_with | {"cells", "seconds"}
     assert str(out) not in (out / "leaderboard.json").read_text()
 
 

@@ -76,7 +76,9 @@ def leaderboard(
     begin = time.perf_counter()
     cells = [[Cell(table.environment, table.scenario, one, episodes, seed) for one in table.field] for table in tables]
     flown = fly_cells([cell for row in cells for cell in row], out, progress)
-    data = {"about": _about(episodes, seed, fields or {}) | {"cells": dict(flown.states)}, "sections": {}}
+    command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, fields or {})
+    about = _about(episodes, seed, fields or {}) | {"command": command, "cells": dict(flown.states)}
+    data: dict[str, Any] = {"about": about, "sections": {}}
     for table, row in zip(tables, cells, strict=True):
         outcomes = {cell.contestant.name: flown.outcomes[cell.digest] for cell in row}
         entry = {"title": table.title, "unfit": table.unfit} | standing(table.scenario, table.field, outcomes, seed)
@@ -166,6 +168,20 @@ def _varied(env: str, field: Sequence[Contestant], flights: bool, fields: dict[s
             scenario = flown_by(name, HELD_OUT, changed) if each.flights else make_scenario(name, changed)
             tables.append(_table("generalisation", env, each.title, scenario, field))
     return tables
+
+
+def _command(
+    envs: Sequence[str], policies: Sequence[str], runs: Sequence[str], episodes: int, seed: int, flights: bool,
+    trackers: bool, generalisation: bool, fields: dict[str, Any],
+) -> str:  # fmt: skip
+    """What makes the same tables; of run folders only the names."""
+    folders = ["=".join((name, Path(folder).name)) for name, _, folder in (text.partition("=") for text in runs)]
+    listed = {"envs": envs, "policies": policies, "runs": folders}
+    listed["fields"] = [f"{name}={value}" for name, value in fields.items()]
+    words = ["passive-env leaderboard", *(f"--{flag} {' '.join(values)}" for flag, values in listed.items() if values)]
+    words += [f"--episodes {episodes} --seed {seed}", *(["--no-flights"] if not flights else [])]
+    words += [f"--{flag}" for flag, on in {"trackers": trackers, "generalisation": generalisation}.items() if on]
+    return " ".join(words)
 
 
 def _about(episodes: int, seed: int, fields: dict[str, Any]) -> dict[str, Any]:

@@ -99,60 +99,40 @@ def _head(data: Mapping[str, Any]) -> str:
         f"{about['episodes']:,} paired episodes per table from seed {about['seed']:,}{fields}: in every table all "
         "policies meet the same targets and noise. Intervals are 95 %, bootstrapped over episodes, those of ratios "
         f"paired. Made on {about['date']} ({about['processor']}, {about['cores']} cores, {about['platform']}; "
-        f"{source}sources {about['code']}; {software}) by\n\n    {_command(data)}"
-    )
-
-
-def _command(data: Mapping[str, Any]) -> str:
-    about, sections = data["about"], data["sections"]
-    flags = "".join(f" --{name}" for name in ("trackers", "generalisation") if name in sections)
-    fields = "".join(f" {name}={value}" for name, value in about["fields"].items())
-    return (
-        f"passive-env leaderboard --episodes {about['episodes']} --seed {about['seed']}{flags}"
-        f"{' --fields' + fields if fields else ''}"
+        f"{source}sources {about['code']}; {software}) by\n\n    {about['command']}"
     )
 
 
 def short_form(data: Mapping[str, Any]) -> str:
     """One row per environment and kind of courses: the best policy of every kind beside the best fixed one or rule."""
-    head = [
-        "environment",
-        "targets",
-        "error",
-        "best fixed or rule",
-        "mean [m]",
-        *SHORT_KINDS,
-        "p95, learned",
-        "bound at the end",
-    ]
-    rows = []
-    for environment, entry in _standings(data, "leaderboard"):
-        metric, reference = entry["headline"], entry["reference"]
-        base = entry["policies"][reference][metric]["mean"]
-        learned = entry["best"].get("learned")
-        rows.append(
-            [
-                _short(environment), _targets(entry), entry["metrics"][metric], f"`{reference}`",
-                _metres(base), *(_kind_cell(entry, kind) for kind in SHORT_KINDS),
-                _ratio_words(entry["policies"][learned]["ratios"][metric]["p95"]) if learned else "",
-                _bound_cell(entry),
-            ]
-        )  # fmt: skip
+    rows = [_short_row(environment, entry) for environment, entry in _standings(data, "leaderboard")]
     note = (
         "Ratios to the mean error of the best fixed policy or rule, the best of every kind; below 1 is better. Bound: "
         "the least mean posterior Cramér–Rao bound at the end [m], a standard deviation that holds for targets as "
         "restless as the filter assumes."
     )
-    return "\n".join([*table(head, rows), "", note])
+    return "\n".join([*_rows_table(rows), "", note])
+
+
+def _short_row(environment: str, entry: Mapping[str, Any]) -> dict[str, str]:
+    """Cells by the names of their columns."""
+    metric, reference, learned = entry["headline"], entry["reference"], entry["best"].get("learned")
+    tail = entry["policies"][learned]["ratios"][metric]["p95"] if learned else None
+    return {
+        "environment": _short(environment),
+        "targets": _targets(entry),
+        "error": entry["metrics"][metric],
+        "best fixed or rule": f"`{reference}`",
+        "mean [m]": _mean_of(entry, reference),
+        **{kind: _kind_cell(entry, kind) for kind in SHORT_KINDS},
+        "p95, learned": _ratio_words(tail) if tail else "",
+        "bound at the end": _metres(entry["bound"]["mean"]),
+    }
 
 
 def _kind_cell(entry: Mapping[str, Any], kind: str) -> str:
     name = entry["best"].get(kind)
     return _ratio_words(entry["policies"][name]["ratios"][entry["headline"]]["mean"]) if name else ""
-
-
-def _bound_cell(entry: Mapping[str, Any]) -> str:
-    return _metres(entry["bound"]["mean"])
 
 
 def _learned_part(data: Mapping[str, Any]) -> list[str]:
@@ -180,7 +160,7 @@ def _open_part(data: Mapping[str, Any]) -> list[str]:
     return ["## Open", note, *(["\n".join(table(_VERDICT, rows))] if rows else [])]
 
 
-_VERDICT = ["environment", "targets", "policy", "error", "against", "mean", "", "p95", ""]
+_VERDICT = ["environment", "targets", "policy", "error", "against", "ratio of means", "mean", "ratio of p95", "p95"]
 
 
 def _verdicts(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
