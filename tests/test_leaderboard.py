@@ -18,7 +18,7 @@ from agents.evaluation import Outcomes, fly, ratio_of_means
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
 from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies
-from agents.leaderboard.pictures import overview
+from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
 from agents.leaderboard.report import as_csv, as_markdown
 from agents.leaderboard.standings import interval, resample, standing, verdict
 from agents.leaderboard.variations import VARIATIONS
@@ -673,12 +673,24 @@ def test_overview_shows_the_ratios_and_the_bound(run):
             entry = found[place]
             for kind, name in entry["best"].items():
                 ratio = entry["policies"][name]["ratios"]["final_range_error_m"]["mean"]["ratio"]
-                assert (kind, round(ratio, 9)) in shown
+                assert (kind, round(min(max(ratio, NEAREST), FARTHEST), 9)) in shown
             share = entry["bound"]["mean"] / entry["policies"][entry["reference"]]["final_range_error_m"]["mean"]
             assert ("bound", round(share, 9)) in shown
         assert axes.get_xscale() == "log"
     with pytest.raises(ValueError, match="at least one environment"):
         overview({})
+
+
+@pytest.mark.parametrize(("factor", "words"), [(40.0, "40 →"), (0.2, "← 0.2"), (2.5, None)])
+def test_ratios_far_off_stand_at_the_edge_with_their_number(factor, words):
+    base = np.random.default_rng(5).uniform(1.0, 2.0, 30)
+    entry = table_of(rule__r=base, greedy__g=factor * base) | {"title": "drawn courses"}
+    (axes,) = overview({"passive/X-v0": [entry]}).axes
+    assert [text.get_text() for text in axes.texts] == ([words] if words else [])
+    (dot,) = (line for line in axes.lines if line.get_label() == "greedy")
+    assert dot.get_xdata()[0] == pytest.approx(min(max(factor, NEAREST), FARTHEST))
+    left, right = axes.get_xlim()
+    assert left < dot.get_xdata()[0] < right
 
 
 # ------------------------------------------------------------------------------------------------ the command

@@ -18,6 +18,8 @@ COLORS = dict(zip(KINDS, (MUTED, BLACK, ORANGE, GREEN, BLUE, PURPLE), strict=Tru
 MARKERS = dict(zip(KINDS, ("s", "D", "^", "v", "o", "*"), strict=True))
 """Kinds differ in form as well as in colour."""
 BOUND = VERMILION
+NEAREST, FARTHEST = 0.4, 3.0
+"""What is shown: what matters is near 1. Ratios beyond stand at the edge, with their number and without interval."""
 ROW_IN, WIDTH_IN = 0.62, 5.2
 SPREAD = 0.62
 """Share of a row over which its kinds are spread."""
@@ -60,6 +62,8 @@ def _panel(axes: Axes, title: str, entries: Mapping[str, Mapping[str, Any] | Non
             axes.axhspan(row - 0.5, row + 0.5, color=GRID, alpha=0.4, zorder=0, linewidth=0.0)
         if entry is not None:
             _row(axes, row, entry)
+    axes.set_xscale("log")
+    axes.set_xlim(NEAREST / 1.03, FARTHEST * 1.03)
     log_ticks(axes.xaxis, axes.set_xscale)
     axes.grid(False, axis="y")
 
@@ -70,12 +74,24 @@ def _row(axes: Axes, row: int, entry: Mapping[str, Any]) -> None:
     places = row + SPREAD * (np.arange(len(kinds)) - 0.5 * (len(kinds) - 1)) / max(len(KINDS) - 1, 1)
     for kind, place in zip(kinds, places, strict=True):
         ratio = entry["policies"][entry["best"][kind]]["ratios"][metric]["mean"]
-        axes.hlines(place, *ratio["ci95"], color=COLORS[kind], linewidth=1.6, zorder=3)
-        axes.add_line(_at(_dot(kind), ratio["ratio"], place))
+        shown = min(max(ratio["ratio"], NEAREST), FARTHEST)
+        axes.add_line(_at(_dot(kind), shown, place))
+        if shown == ratio["ratio"]:
+            axes.hlines(place, *ratio["ci95"], color=COLORS[kind], linewidth=1.6, zorder=3)
+        else:
+            _note_at_edge(axes, ratio["ratio"], shown, place, COLORS[kind])
     if metric.startswith("final"):
         share = entry["bound"]["mean"] / entry["policies"][entry["reference"]][metric]["mean"]
         axes.add_line(_at(_stroke(26.0), share, row))
     axes.autoscale_view()
+
+
+def _note_at_edge(axes: Axes, ratio: float, edge: float, place: float, color: str) -> None:
+    beyond = ratio > edge
+    axes.annotate(
+        f"{ratio:.2g} →" if beyond else f"← {ratio:.2g}", (edge, place), xytext=(-8 if beyond else 8, 0),
+        textcoords="offset points", ha="right" if beyond else "left", va="center", fontsize=8, color=color,
+    )  # fmt: skip
 
 
 def _dot(kind: str) -> Line2D:
