@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, reproduce, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -90,6 +90,16 @@ class Reproduce:
 
 
 @dataclass(frozen=True)
+class Curves:
+    """Draw learning curves of several runs of one environment: median and range over their seeds."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders made by train; they may differ by their seed only."""
+    out: Path = Path("curves.png")
+    """Picture; a .csv file of the same name receives the numbers."""
+
+
+@dataclass(frozen=True)
 class Benchmark:
     """Measure speed: kernels, environments and training, beside other libraries where they are installed."""
 
@@ -106,7 +116,10 @@ class List:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
-    commands = {"train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "benchmark": Benchmark, "list": List}
+    commands = {
+        "train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark,
+        "list": List,
+    }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
 
@@ -117,7 +130,9 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(command: Any) -> int:
-    runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
+    runners = {
+        Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
+    }  # fmt: skip
     try:
         status = runners[type(command)](command)
     except (ValueError, TypeError, OSError) as error:
@@ -164,6 +179,13 @@ def _reproduce_all(c: Reproduce) -> int:
         if part.failure:
             print(f"passive-env: {part.paper.name}: not computed, {part.failure}", file=sys.stderr)
     return int(any(part.failure for part in parts))
+
+
+def _curves(c: Curves) -> None:
+    from agents.curves import draw_curves
+
+    for path in draw_curves(c.runs, c.out):
+        print(path)
 
 
 def _benchmark(c: Benchmark) -> None:

@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from agents.reproduction.radar_placement.claims import PAIRS, SINGLE, STUDIED, THEORY_M, Trials, all_claims
+from agents.reproduction.radar_placement.claims import (
+    MONTE_CARLO,
+    PAIRS,
+    SINGLE,
+    STUDIED,
+    THEORY,
+    THEORY_M,
+    Trials,
+    all_claims,
+)
 from agents.reproduction.radar_placement.pictures import all_pictures
 from agents.reproduction.radar_placement.scenario import (
     Runs,
@@ -91,11 +100,21 @@ def print_radar_placement(result: Mapping[str, Any]) -> str:
 
 def _sections(result: Mapping[str, Any]) -> dict[str, str]:
     """The tables: text per head."""
-    layouts = [(name, found["theory"], found["monte_carlo"]) for name, found in result["layouts"].items()]
     return {
-        "Two radars": markdown_table(("layout", "theory", "Monte Carlo"), layouts),
+        "Two radars": _pair_words(result),
         "Where bias and R are evaluated": _linearisation_words(result),
     }
+
+
+def _pair_words(result: Mapping[str, Any]) -> str:
+    """One row per layout: ratio of the position error to one radar's, the specification's beside ours."""
+    told = {place: ratio for rows in THEORY.values() for place, ratio in rows}
+    header = ("layout", "theory, specification", "theory, ours", "Monte Carlo, specification", "Monte Carlo, ours")
+    rows = [
+        (name, told[PAIRS[name]], found["theory"], MONTE_CARLO[name], found["monte_carlo"])
+        for name, found in result["layouts"].items()
+    ]
+    return "Position error over one radar's:\n\n" + markdown_table(header, rows)
 
 
 def _linearisation_words(result: Mapping[str, Any]) -> str:

@@ -209,5 +209,5 @@ TWO_STATION = Paper(
         "Sections of the specification: 6 holds Table 1 and the paper's own sentences (its section 3); 7 to "
         "10 are what follows from them by computation."
     ),
-    "Errors in km, T1 / T2 / T3.",
+    "NATURAL and BESTFIT are two readings of what the paper leaves open. Errors in km, T1 / T2 / T3.",
 )
