@@ -243,7 +243,7 @@ def picture(curves: Mapping[str, Curve], heading: str) -> Figure:
     figure.suptitle(heading, fontsize=12, color=INK)
     panels: list[Axes] = list(np.atleast_1d(figure.subplots(len(curves), 1, sharex=True)))
     for axes, (name, curve) in zip(panels, curves.items(), strict=True):
-        style_diagram(axes, "", WORDS.get(name, name.removeprefix("eval/").replace("_", " ")))
+        style_diagram(axes, "", WORDS.get(name, _error_words(name)))
         axes.fill_between(
             curve.steps, curve.values.min(0), curve.values.max(0), color=GOOD, alpha=0.2, linewidth=0.0, label="range"
         )
@@ -253,7 +253,12 @@ def picture(curves: Mapping[str, Curve], heading: str) -> Figure:
         if name == RATIO:
             axes.axhline(1.0, color=MUTED, linestyle=":", label="the rule")
         axes.margins(x=0.01)
-        axes.legend(frameon=False, fontsize=9, labelcolor=INK)
+    panels[0].legend(frameon=False, fontsize=9, labelcolor=INK)
     panels[-1].set_xlabel("environment steps", fontsize=10, color=INK)
     panels[-1].xaxis.set_major_formatter(EngFormatter(sep=" "))
     return figure
+
+
+def _error_words(name: str) -> str:
+    """'final range error [m]' of 'eval/final_range_error_m'."""
+    return name.removeprefix("eval/").removesuffix("_m").replace("_", " ") + " [m]"

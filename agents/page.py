@@ -21,7 +21,7 @@ def as_page(text: str, title: str, folder: Path, marks: tuple[str, ...] = ()) ->
     """HTML of a Markdown text.
 
     Args:
-        text: Markdown with tables; its pictures are PNG files.
+        text: Markdown with tables; its pictures are PNG files, HTML in it is shown as text.
         title: of the page.
         folder: pictures' paths begin here.
         marks: words that give a table's cell their own class, spaces as hyphens, such as verdicts.
@@ -41,7 +41,9 @@ class _SelfContained(Extension):
         self._folder, self._marks = folder, marks
 
     def extendMarkdown(self, md: markdown.Markdown) -> None:
-        """Called by the library; after inline text (priority 20), before attributes are dropped."""
+        """Called by the library. HTML in the text stays text; the tree changes after its inline parts (20) are made."""
+        md.preprocessors.deregister("html_block")
+        md.inlinePatterns.deregister("html")
         md.treeprocessors.register(_Insides(md, self._folder, self._marks), "insides", 3)
 
 

@@ -6,6 +6,7 @@ counts as finished if its files are as they were written, by the same code and v
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import sys
@@ -14,6 +15,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from textwrap import indent
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -153,12 +155,13 @@ def _digests(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
+@functools.cache
 def code_digest() -> str:
-    """Digest of the sources that decide a reproduction: trackers, environments, this package."""
-    digest = hashlib.sha256()
-    for package in (Path(trackers.__file__), Path(passive_env.__file__), Path(__file__)):
-        for file in sorted(package.parent.rglob("*.py")):
-            digest.update(file.relative_to(package.parent).as_posix().encode() + file.read_bytes())
+    """Digest of the sources that decide a reproduction: trackers, environments, this package but for this module."""
+    digest, here = hashlib.sha256(), Path(__file__)
+    for package in (Path(trackers.__file__).parent, Path(passive_env.__file__).parent, here.parent):
+        for file in sorted(set(package.rglob("*.py")) - {here}):
+            digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -219,7 +222,7 @@ def _chapter(part: Part) -> str:
     """A paper's tables, claims and pictures below its citation, or what went wrong."""
     paper, result = part.paper, part.result
     if result is None:
-        return f"Not computed: {part.failure}"
+        return f"Not computed:\n\n{indent(part.failure, '    ')}"
     said = f"{result['paper']}. {settings_line(result, paper.note)}"
     return f"{said}\n\n{chapters({**paper.sections(result), **_judged(part, result)}, 3)}"
 
