@@ -229,8 +229,15 @@ def _chapter(part: Part) -> str:
 
 def _judged(part: Part, result: Mapping[str, Any]) -> dict[str, str]:
     claims, folder = result["claims"], f"{PARTS}/{part.paper.name}/"
-    table = markdown_table(("no.", *CLAIM_HEADER), [(i + 1, *claim_cells(c)) for i, c in enumerate(claims)])
+    numbered = ((i, *_verdict_first(claim_cells(c))) for i, c in enumerate(claims, 1))
+    table = markdown_table(("no.", *_verdict_first(CLAIM_HEADER)), numbered)
     return {
         "Claims": f"{verdict_line(claims)}. Where they stand: {part.paper.sources}\n\n{table}",
         "Pictures": pictures_words(result["pictures"], folder),
     }
+
+
+def _verdict_first(cells: Sequence[Any]) -> tuple[Any, ...]:
+    """A claim's row with verdict and claim in front, where a phone shows them, and the source at the end."""
+    source, *between, verdict = cells
+    return (verdict, *between, source)
