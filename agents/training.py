@@ -8,13 +8,9 @@ saved model and that seed only. A checkpoint of an off-policy learner holds its 
 from __future__ import annotations
 
 import os
-import platform
 import random
-import shutil
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +28,7 @@ from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
+from agents.provenance import commit, versions
 from agents.sb3 import Sb3VecEnv
 from agents.transmitter_network import TransmitterPolicy, network_settings
 from passive_env.catalogue import environment_id, make_scenario
@@ -353,26 +350,3 @@ def _check_same_run(run: Run) -> None:
             raise ValueError(
                 f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"
             )
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that decides a result."""
-    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
-    return {"python": platform.python_version(), **{name: _version(name) for name in names}}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def commit() -> str | None:
-    """Commit of the source tree this runs from, if it is one and git is there."""
-    git = shutil.which("git")
-    if git is None:
-        return None
-    here = Path(__file__).resolve().parent
-    done = subprocess.run([git, "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or None
