@@ -44,7 +44,7 @@ class PlainActor:
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions [e, a] float32 of observations [e, d]."""
         x = torch.from_numpy(np.ascontiguousarray(observation, dtype=np.float32))
-        with torch.inference_mode(), _one_thread():
+        with torch.inference_mode(), one_thread():
             output = np.concatenate([self._pass(block) for block in x.split(ROWS)])
         low, high = self._space.low, self._space.high
         if self._squash:
@@ -61,7 +61,7 @@ class PlainActor:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """PyTorch on one thread for a moment."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -53,8 +53,8 @@ class Algorithm(NamedTuple):
     def _network_refusal(self, preset: dict[str, Any]) -> str | None:
         if preset["network"] != NETWORK:
             return f"knows no network {preset['network']!r}: its preset must say {NETWORK!r}, or leave it out"
-        if self.learner is not PPO or preset.get("asymmetric", False) or "first_action" in preset:
-            return f"cannot take network = {NETWORK!r}: it is for ppo without 'asymmetric' and 'first_action'"
+        if self.learner is not PPO or "first_action" in preset:
+            return f"cannot take network = {NETWORK!r}: it is for ppo without 'first_action'"
         return None
 
 

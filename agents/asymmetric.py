@@ -37,6 +37,10 @@ class AsymmetricPolicy(ActorCriticPolicy):
             self.features_dim, self.truth_size, list(self.net_arch), self.activation_fn, self.device
         )
 
+    def flown(self) -> tuple[Any, dict[str, Any], dict[str, torch.Tensor]]:
+        """Class or name, settings and the actor's parameters of a policy that acts alike and is not shown the truth."""
+        return "MlpPolicy", {}, _actor(self.state_dict())
+
 
 class _SplitExtractor(nn.Module):
     """Hidden layers of an actor that reads the first features and of a critic that reads all."""
@@ -58,24 +62,31 @@ class _SplitExtractor(nn.Module):
         return self.critic.forward_critic(features)
 
 
+def sees_truth(model: Any) -> bool:
+    """Whether a model's critic is shown the truth behind the belief."""
+    return getattr(model.policy, "truth_size", 0) > 0
+
+
 def for_flying(model: Any) -> PPO:
-    """A plain PPO model with the same actor, for observations without the truth, from one with an `AsymmetricPolicy`.
+    """A PPO model with the same actor, for observations without the truth, of one whose critic sees it.
 
     Its critic is untrained: whoever wants to go on learning with it has to teach that anew.
     """
     low, high = model.observation_space.low, model.observation_space.high
     belief = len(low) - model.policy.truth_size
+    network, settings, actor = model.policy.flown()
+    kept = {name: value for name, value in model.policy_kwargs.items() if name != "truth_size"}
     learner: Any = PPO  # its type wants an environment even where none is needed
     plain = learner(
-        "MlpPolicy", None, learning_rate=model.learning_rate, n_steps=model.n_steps, batch_size=model.batch_size,
+        network, None, learning_rate=model.learning_rate, n_steps=model.n_steps, batch_size=model.batch_size,
         n_epochs=model.n_epochs, gamma=model.gamma, gae_lambda=model.gae_lambda, device=model.device,
-        policy_kwargs={name: value for name, value in model.policy_kwargs.items() if name != "truth_size"},
+        policy_kwargs={**kept, **settings},
         _init_setup_model=False,
     )  # fmt: skip
     plain.observation_space = spaces.Box(low[:belief], high[:belief])
     plain.action_space, plain.n_envs = model.action_space, model.n_envs
     plain._setup_model()
-    plain.policy.load_state_dict(_actor(model.policy.state_dict()), strict=False)
+    plain.policy.load_state_dict(actor, strict=False)
     plain.num_timesteps = model.num_timesteps
     return plain
 

@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, reproduce, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -103,18 +103,30 @@ class Leaderboard:
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Run a paper's experiments and print its claims beside ours."""
+    """Run a paper's experiments and print its claims beside ours; `all` writes one report of all papers."""
 
     paper: Annotated[
-        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar"], tyro.conf.Positional
+        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar", "all"],
+        tyro.conf.Positional,
     ] = "two-station"
-    """Which paper."""
+    """Which paper, or all."""
     runs: int | None = None
     """Monte-Carlo runs per seed; default 500 (angle-fusion, radar-placement) or 50 (the others)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
-    """Folder for reproduction.json, .md and pictures."""
+    """Folder for reproduction.json, .md and pictures; for all: papers.md, papers.html and a folder per paper. Finished
+    papers are kept, so an interrupted run goes on with the next one."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Draw learning curves of several runs of one environment: median and range over their seeds."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders made by train; they may differ by their seed only."""
+    out: Path = Path("curves.png")
+    """Picture; a .csv file of the same name receives the numbers."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +145,9 @@ class List:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status (2 for bad input, with the reason on standard error)."""
+    """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
     commands = {
-        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "reproduce": Reproduce,
+        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "reproduce": Reproduce, "curves": Curves,
         "benchmark": Benchmark, "list": List,
     }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
@@ -149,15 +161,15 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 def _guarded(command: Any) -> int:
     runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Reproduce: _reproduce, Benchmark: _benchmark,
-        List: _list,
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Reproduce: _reproduce, Curves: _curves,
+        Benchmark: _benchmark, List: _list,
     }  # fmt: skip
     try:
-        runners[type(command)](command)
+        status = runners[type(command)](command)
     except (ValueError, TypeError, OSError) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
-    return 0
+    return status or 0
 
 
 def _train(c: Train) -> None:
@@ -184,19 +196,36 @@ def _leaderboard(c: Leaderboard) -> None:
     )  # fmt: skip
 
 
-def _reproduce(c: Reproduce) -> None:
-    from agents import reproduction
+def _reproduce(c: Reproduce) -> int:
+    from agents.reproduction import PAPERS
 
-    papers = {
-        "two-station": (reproduction.reproduce_two_station, reproduction.print_report),
-        "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
-        "imm-mie": (reproduction.reproduce_imm_mie, reproduction.print_imm_mie),
-        "radar-placement": (reproduction.reproduce_radar_placement, reproduction.print_radar_placement),
-        "passive-radar": (reproduction.reproduce_passive_radar, reproduction.print_passive_radar),
-    }
-    reproduce, words = papers[c.paper]
+    if c.paper == "all":
+        return _reproduce_all(c)
+    paper = PAPERS[c.paper]
     number = {} if c.runs is None else {"runs": c.runs}
-    print(words(reproduce(**number, seeds=c.seeds, out=c.out)))
+    print(paper.words(paper.reproduce(**number, seeds=c.seeds, out=c.out)))
+    return 0
+
+
+def _reproduce_all(c: Reproduce) -> int:
+    """Returns 1 if a paper failed."""
+    from agents.reproduction.together import reproduce_all, summary_table
+
+    if c.out is None:
+        raise ValueError("reproduce all: needs --out DIR, the folder of the report")
+    parts = reproduce_all(c.out, c.runs, c.seeds)
+    print(f"{summary_table(parts)}\n\n{c.out / 'papers.md'}\n{c.out / 'papers.html'}")
+    for part in parts:
+        if part.failure:
+            print(f"passive-env: {part.paper.name}: not computed, {part.failure}", file=sys.stderr)
+    return int(any(part.failure for part in parts))
+
+
+def _curves(c: Curves) -> None:
+    from agents.curves import draw_curves
+
+    for path in draw_curves(c.runs, c.out):
+        print(path)
 
 
 def _benchmark(c: Benchmark) -> None:

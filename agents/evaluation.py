@@ -37,9 +37,12 @@ BASELINES = (
     "greedy",
     "skip",
     "bayes",
+    "timed",
     "hysteresis",
     "hold10",
+    "timed10",
     "pursuit",
+    "timed_pursuit",
     "planner",
     "optimizer",
 )
@@ -75,6 +78,9 @@ def nees_scale(degrees: int) -> NeesScale:
 
 
 RESAMPLES = 2000
+
+ALIKE = ("paths", "state_size", "settled")
+"""What a record takes from its first block."""
 
 LATE_STEPS, LATE_ERROR_M = 5, 1e3
 """A track in space counts as lost if its position error averaged over the last steps exceeds this: Wang, Wang and Yang
@@ -143,6 +149,8 @@ class Record:
             episodes without any; in scenarios whose figures tell who maneuvers.
         acceleration_error_m_s2: [e, k + 1] mean over targets; in the same scenarios.
         scored_error_m: [e] the position error that `info` shows at the end, where that is another than the last scan's.
+        horizontal_error_m, height_error_m: [e, k + 1] mean over targets; in scenarios whose figures tell them.
+        settled: column from which a track is taken to have settled, in the same scenarios.
     """
 
     range_error_m: np.ndarray
@@ -163,6 +171,9 @@ class Record:
     turn_error_m: Any = None
     acceleration_error_m_s2: Any = None
     scored_error_m: Any = None
+    horizontal_error_m: Any = None
+    height_error_m: Any = None
+    settled: int = 1
 
     @property
     def score(self) -> str:
@@ -190,14 +201,24 @@ class Record:
             named["mean_acceleration_error_m_s2"] = self.acceleration_error_m_s2[:, 1:].mean(axis=1)
         bounds = {f"final_{kind}_crlb_m": bound[:, -1] for kind, (_, bound) in self.errors.items()}
         return Outcomes(
-            self.score, named, bounds, self.lost, self.collapsed, self.nees, self.standoff, self.nogo, self.state_size,
-            self.decision_time_us, self.lost_late,
+            self.score, named | self._level_samples(), bounds, self.lost, self.collapsed, self.nees, self.standoff,
+            self.nogo, self.state_size, self.decision_time_us, self.lost_late,
         )  # fmt: skip
 
     @property
     def samples(self) -> dict[str, np.ndarray]:
         """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
         return self.outcomes.samples
+
+    def _level_samples(self) -> dict[str, np.ndarray]:
+        """Averages of level errors, also of settled tracks, and in space of height errors."""
+        level, height = self.horizontal_error_m, self.height_error_m
+        if level is None:
+            return {}
+        named = {"mean_horizontal_error_m": level[:, 1:].mean(axis=1)}
+        if self.settled < level.shape[1]:
+            named["settled_horizontal_error_m"] = level[:, self.settled :].mean(axis=1)
+        return named | ({"mean_height_error_m": height[:, 1:].mean(axis=1)} if height.any() else {})
 
     @property
     def error_m(self) -> np.ndarray:
@@ -236,19 +257,17 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
         _fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)
     ]
     merged = {
-        name: np.concatenate([block[name] for block in blocks])
-        for name in blocks[0]
-        if name not in ("seconds", "paths", "state_size")
+        name: np.concatenate([block[name] for block in blocks]) for name in blocks[0] if name not in ("seconds", *ALIKE)
     }
     seconds = sum(block["seconds"] for block in blocks)
-    alike = {name: blocks[0][name] for name in ("paths", "state_size")}
+    alike = {name: blocks[0][name] for name in ALIKE if name in blocks[0]}
     return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), **alike)
 
 
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
-    log, turns = [_instant(env.world, info, scenario.score)], [_turn(info)]
+    log, turns, levels = [_instant(env.world, info, scenario.score)], [_turn(info)], [_level(info)]
     belief, seconds = env.belief(), 0.0
     _show(policy, env.world)
     policy.reset(belief)
@@ -262,6 +281,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         _show(policy, env.world)
         log.append(_instant(env.world, info, scenario.score))
         turns.append(_turn(info))
+        levels.append(_level(info))
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
@@ -279,6 +299,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         position
         | scored
         | _turns(turns)
+        | _levels(levels, scenario)
         | {
             "range_error_m": figures["range_error_m"].mean(-1),
             "range_crlb_m": figures["range_crlb_m"].mean(-1),
@@ -319,6 +340,21 @@ def _turns(log: list[tuple[Any, ...]]) -> dict[str, np.ndarray]:
     count, total = during.sum((1, 2)), np.where(during, error[:, 1:], 0.0).sum((1, 2))
     average = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
     return {"turn_error_m": average, "acceleration_error_m_s2": acceleration.mean(-1)}
+
+
+def _level(info: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Horizontal and height errors, each [e, m]; nothing where figures do not tell."""
+    names = ("horizontal_error_m", "height_error_m")
+    return tuple(info[name] for name in names) if names[0] in info else ()
+
+
+def _levels(log: list[tuple[Any, ...]], scenario: Any) -> dict[str, Any]:
+    """A record's figures of level and height errors."""
+    if not log[0]:
+        return {}
+    level, height = (np.stack(column, axis=1).mean(-1) for column in zip(*log, strict=True))
+    settled = round(scenario.settled_s / scenario.step_s) + 1
+    return {"horizontal_error_m": level, "height_error_m": height, "settled": settled}
 
 
 class _Instant(NamedTuple):

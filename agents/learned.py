@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents.actor import plain_actor
+from agents.actor import one_thread, plain_actor
 from agents.algorithms import find_algorithm
 from passive_env.actions import GUIDED
 from passive_env.belief import Belief
@@ -60,7 +60,8 @@ class ModelPolicy:
                 f"{len(observation)} observations, but {self._memory[0].shape[1]} episodes are remembered: "
                 "call reset() before other episodes"
             )
-        actions, self._memory = self._model.predict(observation, self._memory, deterministic=True)
+        with one_thread():
+            actions, self._memory = self._model.predict(observation, self._memory, deterministic=True)
         return self._commands(actions, belief)
 
     def _commands(self, actions: np.ndarray, belief: Belief) -> np.ndarray:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from agents.policy import Policy, sees_world
-from passive_env.core import World
-from passive_env.radar_promise import Ahead, Blockage, Outlook, SumPrediction, everyone, straight_on
+from passive_env.catalogue.passive_radar import PAPER_SITES_M
+from passive_env.core import World, map_rows
+from passive_env.radar_promise import BLOCK, Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
-from passive_env.steering import towards
-from trackers.compiled import kernel
+from passive_env.steering import lead_pursuit, towards
+from trackers.compiled import Blocks, kernel
 from trackers.range_sum import range_sum_row
 
 SKIP_S = 10.0
@@ -67,7 +68,7 @@ class Selection(ABC):
 
 
 class Fixed(Selection):
-    """Listens to the same transmitters all the time, the first ones of the pool: of the paper's sites to all."""
+    """Listens to the same transmitters all the time, the pool's first ones: in space to all of the paper's sites."""
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
@@ -183,6 +184,50 @@ class BestFixed(Selection):
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
         return self._plan
+
+
+class Hindsight(Selection):
+    """Listens all the time to the combination that turns out to be best, which nobody can know.
+
+    Its error, summed over the very same episode, is the least of all: the episode is flown with every combination. A
+    receiver that moves flies straight on.
+    """
+
+    needs_world = True
+    _world: World
+
+    def __init__(self, scenario: Any):
+        super().__init__(scenario)
+        self._simulation = scenario.make_simulation()
+        self._plan = np.empty(0, dtype=int)
+
+    def see(self, world: World) -> None:
+        """Look at the truth."""
+        self._world = world
+
+    def reset(self, belief: RadarBelief) -> None:
+        """Fly."""
+        blocks = Blocks(len(belief.mean), block=BLOCK)
+        self._plan = np.concatenate(blocks.map(self._fly, blocks.slices))
+
+    def choose(self, belief: RadarBelief) -> np.ndarray:
+        """Numbers [e] of the combinations to listen to."""
+        return self._plan
+
+    def _fly(self, rows: slice) -> np.ndarray:
+        """Numbers of the best combinations of some episodes."""
+        start = map_rows(lambda part: part[rows], self._world)
+        return np.argmin([self._error(start, chosen) for chosen in self._combinations], axis=0)
+
+    def _error(self, world: World, chosen: np.ndarray) -> np.ndarray:
+        """Summed position errors [e] from a world to the end, with one combination."""
+        scores = scores_of(np.tile(chosen, (len(world.step), 1)), self._scenario.pool)
+        command = np.concatenate([np.zeros((len(scores), int(self._scenario.moves))), scores], axis=1)
+        total = np.zeros(len(scores))
+        for _ in range(self._scenario.steps - int(world.step[0])):
+            world = self._simulation.advance(world, command)[0]
+            total += world.metrics.position_error_m[:, 0]
+        return total
 
 
 # -- searches ----------------------------------------------------------------------------------------------------------
@@ -302,22 +347,8 @@ class Moving:
 
 
 def pursuit(belief: RadarBelief) -> np.ndarray:
-    """Headings [e] rad to the nearest point of time at which the receiver can meet the target that flies straight on.
-
-    A target that it cannot meet is aimed at where it will be after the time that the way to it takes.
-    """
-    receiver, x = belief.platforms[:, 0], belief.mean[:, 0]
-    d = receiver.shape[1] // 2
-    line, v = x[:, :2] - receiver[:, :2], x[:, d : d + 2]
-    speed = np.linalg.norm(receiver[:, d : d + 2], axis=1)
-    a, b, c = np.square(v).sum(1) - speed**2, (line * v).sum(1), np.square(line).sum(1)
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    slow = np.where(a < 0.0, (-b - root) / np.where(a < 0.0, a, -1.0), np.inf)  # the target is the slower one
-    fast = c / np.where(root > b, root - b, np.nan)
-    time = np.where(a < 0.0, slow, np.where((b < 0.0) & (b * b >= a * c), fast, np.inf))
-    time = np.where(np.isfinite(time), time, np.sqrt(c) / np.maximum(speed, 1e-9))
-    aim = line + time[:, None] * v
-    return np.arctan2(aim[:, 1], aim[:, 0])
+    """Headings [e] rad of lead pursuit of the track."""
+    return lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0])
 
 
 class HeadingSearch:
@@ -371,6 +402,7 @@ Maker = Callable[[Any, int], Policy]
 
 RULES: dict[str, Maker] = {
     "best_fixed": lambda scenario, seed: BestFixed(scenario),
+    "hindsight": lambda scenario, seed: Hindsight(scenario),
     "angle": lambda scenario, seed: ByShape(scenario, "angle"),
     "triangle": lambda scenario, seed: ByShape(scenario, "triangle"),
     "nearest": lambda scenario, seed: ByShape(scenario, "nearest"),
@@ -384,6 +416,7 @@ SEARCHES: dict[str, Maker] = {
     "greedy": lambda scenario, seed: Greedy(scenario, everyone, waits=False),
     "skip": lambda scenario, seed: Greedy(scenario, not_missed, waits=False),
     "bayes": lambda scenario, seed: Greedy(scenario, waits=False),
+    "timed": lambda scenario, seed: Greedy(scenario, Durations(scenario), waits=False),
     "oracle": lambda scenario, seed: Oracle(scenario),
 }
 """Makers of searches one scan ahead, without regard to retuning."""
@@ -391,28 +424,30 @@ SEARCHES: dict[str, Maker] = {
 RETUNING: dict[str, Maker] = {
     "hysteresis": lambda scenario, seed: Hysteresis(scenario),
     "hold10": lambda scenario, seed: Greedy(scenario, **HELD),
+    "timed10": lambda scenario, seed: Greedy(scenario, Durations(scenario), **HELD),
     "oracle": lambda scenario, seed: Oracle(scenario, **HELD),
 }
 """Makers of those that know that retuning takes time."""
 
 
-def _moving(heading: Callable[[Any], Any]) -> Maker:
-    return lambda scenario, seed: Moving(scenario, Greedy(scenario, waits=False), heading(scenario))
+def _moving(heading: Callable[[Any], Any], outlook: Callable[[Any], Any] = Blockage) -> Maker:
+    return lambda scenario, seed: Moving(scenario, Greedy(scenario, outlook(scenario), waits=False), heading(scenario))
 
 
 MOVING: dict[str, Maker] = {
     "hold": _moving(lambda scenario: None),
     "pursuit": _moving(lambda scenario: pursuit),
     "rule": _moving(lambda scenario: pursuit),
+    "timed_pursuit": _moving(lambda scenario: pursuit, Durations),
     "planner": _moving(HeadingSearch),
     "oracle": lambda scenario, seed: Moving(scenario, Oracle(scenario), pursuit),
 }
-"""Makers of what moves; all listen as "bayes" does, which flies straight on, the oracle as the oracle does."""
+"""Makers of what moves; all listen as "bayes" does, which flies straight on, but those that are named otherwise."""
 
 
 def radar_makers(scenario: Any) -> dict[str, Maker]:
     """Makers by name of all that can act in a scenario."""
-    fixed = "fixed" if scenario.sites == "random" else "paper"
+    fixed = "paper" if scenario.sites in PAPER_SITES_M else "fixed"
     makers: dict[str, Maker] = {fixed: lambda scenario, seed: Fixed(scenario), **RULES, **SEARCHES}
     if scenario.retune_delay_s > 0.0:
         makers |= RETUNING

@@ -17,6 +17,7 @@ from agents.maneuvers import Maneuvers, maneuvers
 from agents.pictures import EpisodePaths
 from agents.placement_pictures import placement_maps
 from passive_env.catalogue.mobile_placement import MobilePlacement
+from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.catalogue.placement import RadarPlacement
 
 METRICS = {"final": "final", "mean": "time average"}
@@ -25,6 +26,11 @@ MANEUVERS = {"turn_position_error_m": "while maneuvering", "mean_acceleration_er
 """What is compared besides where targets are known to maneuver, and its names."""
 SCORED = {"scored_position_error_m": "last scans"}
 """The error by which an episode of placement is scored, and its name."""
+LEVEL = {
+    "mean_horizontal_error_m": "horizontal average", "settled_horizontal_error_m": "settled",
+    "mean_height_error_m": "height average",
+}  # fmt: skip
+"""Averages of errors in the plane, of all steps and of a settled track's, and of height errors, and their names."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
 
@@ -59,6 +65,8 @@ def _of_geometry(title: str, records: Mapping[str, Record], scenario: Any, times
         installed = {name: _installed(path) for name, path in paths.items()}
         return [("geometry.png", pictures.geometry(times, installed, f"{title}: the first one"))]
     geometry = pictures.geometry(times, paths, f"{title}: the first one")
+    if not scenario.moves:
+        return [("geometry.png", geometry)]
     flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
     platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [("geometry.png", geometry), ("maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs"))]
@@ -90,7 +98,7 @@ def metrics_of(summary: Mapping[str, Any]) -> dict[str, str]:
     """Errors that count, and their names in tables."""
     shown = next(iter(summary["policies"].values()))
     counted = {f"{when}_{summary['score']}_error_m": words for when, words in METRICS.items()}
-    return counted | {name: words for name, words in (SCORED | MANEUVERS).items() if name in shown}
+    return counted | {name: words for name, words in (SCORED | MANEUVERS | LEVEL).items() if name in shown}
 
 
 def flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,7 +121,7 @@ def _figures_table(summary: Mapping[str, Any]) -> list[str]:
     zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
     _, _, *more = metrics_of(summary).items()
     head = ["policy", "final mean", "median", "p95", "time average", *(words for _, words in more)]
-    head += ["average p95", "lost late", "range final", "range average"] if in_space else []
+    head += ["average median", "average p95", "lost late", "range final", "range average"] if in_space else []
     head += ["bound", "lost", "collapsed", "NEES mean / median", *(ZONES[name] for name in zones), "µs/decision"]
     rows = []
     for name, figures in policies.items():
@@ -122,7 +130,12 @@ def _figures_table(summary: Mapping[str, Any]) -> list[str]:
         cells += [f"{figure['mean']:.3g}" for figure in rest]
         if in_space:
             ranges = (figures[f"{when}_range_error_m"]["mean"] for when in METRICS)
-            cells += [f"{mean['p95']:.0f}", percent(figures["lost_late_share"]), *(f"{value:.0f}" for value in ranges)]
+            cells += [
+                f"{mean['median']:.0f}",
+                f"{mean['p95']:.0f}",
+                percent(figures["lost_late_share"]),
+                *(f"{value:.0f}" for value in ranges),
+            ]
         bound = figures[f"final_{summary['score']}_crlb_m"]
         cells += [f"{bound:.0f}", percent(figures["lost_share"])]
         nees = figures["final_nees"]
@@ -156,7 +169,7 @@ def _note(summary: Mapping[str, Any]) -> str:
     return (
         f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
         f"seed {summary['seed']}, mean over targets. {_late_note(summary)}"
-        f"{_scored_note(summary)}{_maneuver_note(summary)}"
+        f"{_scored_note(summary)}{_maneuver_note(summary)}{_level_note(summary)}"
         "Bound: posterior Cramér–Rao bound at the end, mean; it is a standard deviation (a mean absolute error may lie "
         "20 % below it) for targets as restless as the filter assumes (those that fly straight for long can be ranged "
         "better). Collapsed: ends more than "
@@ -185,6 +198,12 @@ def _maneuver_note(summary: Mapping[str, Any]) -> str:
         "While maneuvering: position error over the steps at which the target accelerates, mean over the episodes that "
         "have any. Acceleration: error of its estimate in m/s², time average. "
     )
+
+
+def _level_note(summary: Mapping[str, Any]) -> str:
+    if not LEVEL.keys() & metrics_of(summary).keys():
+        return ""
+    return f"Settled: horizontal error averaged over the steps after the first {PassiveRadar.settled_s:g} s. "
 
 
 def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[Path]:

@@ -8,13 +8,9 @@ saved model and that seed only. A checkpoint of an off-policy learner holds its 
 from __future__ import annotations
 
 import os
-import platform
 import random
-import shutil
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +21,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.activation import quicken
 from agents.algorithms import ALGORITHMS, find_algorithm
-from agents.asymmetric import AsymmetricPolicy, for_flying
+from agents.asymmetric import AsymmetricPolicy, for_flying, sees_truth
 from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
+from agents.provenance import commit, versions
 from agents.sb3 import Sb3VecEnv
 from agents.transmitter_network import TransmitterPolicy, network_settings
 from passive_env.catalogue import environment_id, make_scenario
@@ -185,7 +182,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
 
 def _flown(model: Any) -> BaseAlgorithm:
     """The model as it is flown: without a critic that sees the truth."""
-    return for_flying(model) if isinstance(model.policy, AsymmetricPolicy) else model
+    return for_flying(model) if sees_truth(model) else model
 
 
 def save_model(model: BaseAlgorithm, file: Path, *include: str) -> None:
@@ -296,10 +293,10 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
 
 def _network(run: Run, env: Sb3VecEnv) -> tuple[Any, dict[str, Any]]:
     """The policy's class, or its name, and settings that follow from the scenario."""
+    if "network" in run.preset:
+        return TransmitterPolicy, {"layout": network_settings(run.training_scenario, env.truth)}
     if env.truth is not None:
         return AsymmetricPolicy, {"truth_size": len(env.truth.fields)}
-    if "network" in run.preset:
-        return TransmitterPolicy, {"layout": network_settings(run.training_scenario)}
     return ALGORITHMS[run.algo].network, {}
 
 
@@ -353,26 +350,3 @@ def _check_same_run(run: Run) -> None:
             raise ValueError(
                 f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"
             )
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that decides a result."""
-    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
-    return {"python": platform.python_version(), **{name: _version(name) for name in names}}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def commit() -> str | None:
-    """Commit of the source tree this runs from, if it is one and git is there."""
-    git = shutil.which("git")
-    if git is None:
-        return None
-    here = Path(__file__).resolve().parent
-    done = subprocess.run([git, "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or None

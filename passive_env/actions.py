@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 
 from passive_env.belief import Belief
-from passive_env.steering import course, left_to_turn, line_of_sight, outward
+from passive_env.steering import course, lead_pursuit, left_to_turn, line_of_sight, outward, towards
 from trackers.angles import wrap
 
 GUIDED = ("headings", "velocities")
@@ -23,6 +23,9 @@ GUIDED = ("headings", "velocities")
 HARD_TURN_DEG = 60.0
 """A platform that turns as hard as it can is taken to head for this much off its course, or for as much as a step turns
 it if that is more: whoever learns from such an action may then err without turning the other way."""
+
+LEADS_DEG = (-150.0, -90.0, -50.0, -25.0, -10.0, 0.0, 10.0, 25.0, 50.0, 90.0, 150.0)
+"""Courses off that of lead pursuit, finest about it."""
 
 
 class Continuous:
@@ -171,28 +174,30 @@ class Discrete:
 
 
 class Combinations:
-    """A MultiDiscrete whose last number picks one of several combinations of n; before it, three choices per rate.
+    """A MultiDiscrete whose last number picks one of several combinations of n; another one may precede it.
 
-    Commands are the rates, −1, 0 or 1, then n scores, 1 of what is in the combination and −1 of the others.
+    Commands are n scores, 1 of what is in the combination and −1 of the others.
 
     Args:
         combinations: [c, k] what each holds, numbers below n.
         n: how many there are to choose from.
-        rates: how many rates come first; left and right are theirs.
     """
 
-    def __init__(self, combinations: np.ndarray, n: int, rates: int = 0):
-        self.size = rates + n
-        self._rates, self._k = rates, combinations.shape[1]
+    _before: tuple[int, ...] = ()
+    """Choices of the number that comes first, if there is one."""
+
+    def __init__(self, combinations: np.ndarray, n: int):
+        self.size = len(self._before) + n
+        self._n, self._k = n, combinations.shape[1]
         self._scores = np.full((len(combinations), n), -1.0)
         np.put_along_axis(self._scores, combinations, 1.0, axis=1)
         self._place = np.zeros(2**n, dtype=np.int64)
         self._place[(1 << combinations).sum(1)] = np.arange(len(combinations))
-        self._choices = np.array([3] * rates + [len(combinations)])
+        self._choices = np.array([*self._before, len(combinations)])
         self.space = spaces.MultiDiscrete(self._choices)
 
     def decode(self, action: Any, batch: int | None) -> np.ndarray:
-        """Commands [e, a] of choices [q] or [batch, q].
+        """What choices [q] or [batch, q] say [e, a]: of the first one its number, of the last one scores.
 
         Raises:
             ValueError: wrong shape, or a choice that there is not.
@@ -203,7 +208,7 @@ class Combinations:
             highest = ", ".join(map(str, self._choices - 1))
             raise ValueError(f"action {action!r}: choices must be integers from 0 to {highest}")
         chosen = values.astype(np.int64)
-        return np.concatenate([values[:, : self._rates] - 1.0, self._scores[chosen[:, -1]]], axis=1)
+        return np.concatenate([values[:, :-1], self._scores[chosen[:, -1]]], axis=1)
 
     def commands(self, values: np.ndarray, belief: Any) -> np.ndarray:
         """Commands [e, a] of decoded actions [e, a]: the same."""
@@ -211,14 +216,52 @@ class Combinations:
 
     def encode(self, commands: np.ndarray, belief: Any = None) -> np.ndarray:
         """The choices [e, q] nearest to commands [e, a]: of scores the highest, of equal ones the first."""
-        highest = np.argsort(-commands[:, self._rates :], axis=1, kind="stable")[:, : self._k]
-        place = self._place[(1 << highest).sum(1)]
-        rates = np.rint(np.clip(commands[:, : self._rates], -1.0, 1.0)).astype(np.int64) + 1
-        return np.concatenate([rates, place[:, None]], axis=1)
+        highest = np.argsort(-commands[:, -self._n :], axis=1, kind="stable")[:, : self._k]
+        return self._place[(1 << highest).sum(1)][:, None]
 
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
-        """Choices [..., q] that do in the mirrored world what these do here: rates the other way round."""
-        return np.concatenate([2 - actions[..., : self._rates], actions[..., self._rates :]], axis=-1)
+        """Choices [..., q] that do in the mirrored world what these do here: the same."""
+        return actions
+
+
+class LeadsAndCombinations(Combinations):
+    """Combinations as of `Combinations`, and before them the course of one platform, one of `LEADS_DEG`.
+
+    The platform turns as fast as it can until it flies on that course, which is off that of lead pursuit, to the left
+    if positive (`passive_env.steering.lead_pursuit`).
+
+    Args:
+        combinations, n: as of `Combinations`.
+        turn_per_step: largest turn in a step [rad].
+    """
+
+    _before = (len(LEADS_DEG),)
+
+    def __init__(self, combinations: np.ndarray, n: int, turn_per_step: float):
+        super().__init__(combinations, n)
+        self._turn_per_step, self._leads = turn_per_step, np.radians(LEADS_DEG)
+
+    def commands(self, values: np.ndarray, belief: Any) -> np.ndarray:
+        """Commands [e, a] of decoded actions [e, a], by the track of a belief: a turn, then scores."""
+        aim = lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0]) + self._leads[values[:, 0].astype(np.int64)]
+        return np.concatenate([towards(aim[:, None], belief.platforms, self._turn_per_step), values[:, 1:]], axis=1)
+
+    def encode(self, commands: np.ndarray, belief: Any = None) -> np.ndarray:
+        """The choices [e, 2] nearest to commands [e, a] to a belief, which is needed.
+
+        A turn as hard as can be is taken for a course `HARD_TURN_DEG` off.
+        """
+        if belief is None:
+            raise TypeError("encode(commands, belief): courses off lead pursuit need the belief")
+        hardest = max(math.radians(HARD_TURN_DEG), self._turn_per_step)
+        ahead = np.where(np.abs(commands[:, 0]) < 1.0, self._turn_per_step, hardest) * commands[:, 0]
+        off = course(belief.platforms)[:, 0] + ahead - lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0])
+        lead = np.abs(wrap(off[:, None] - self._leads)).argmin(axis=1)
+        return np.concatenate([lead[:, None], super().encode(commands)], axis=1)
+
+    def mirrored(self, actions: np.ndarray) -> np.ndarray:
+        """Choices [..., 2] that do in the mirrored world what these do here: leads the other way round."""
+        return np.concatenate([len(LEADS_DEG) - 1 - actions[..., :1], actions[..., 1:]], axis=-1)
 
 
 def _numbers(action: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,9 @@ AXES = {2: ("radial", "cross"), 3: ("radial", "cross", "up")}
 
 RECENT_S = 10.0
 """Time after which an answer or a miss counts 1/e."""
+
+FORESEEN_SCANS = (1, 5, 10, 20)
+"""Scans to come at which the chance to be clear is observed, where durations are known."""
 
 
 @helper
@@ -95,11 +98,11 @@ def _write_site(x, P, site, std, sight, h, a, b, out, i):
 
 
 @kernel(
-    "(),(s,y),(m,y),(m,y,y),(a),(n,d),(n),(n),(n),(n),(n),(n),(n),(n),(),(),(l),(o)->(o)",
-    "fFFFFFBFBBFFFFfbFgG",
+    "(),(s,y),(m,y),(m,y,y),(a),(n,d),(n),(n),(n),(n),(n),(n),(n),(n,q),(n),(),(),(l),(o)->(o)",
+    "fFFFFFBFBBFFFFFfbFgG",
 )
 def _observe(time_left, platforms, mean, cov, last_action, transmitters, chosen, wait, answered, missed, since_answer,
-             since_miss, probability, std, statistic, maneuver, limits, like, out):  # fmt: skip
+             since_miss, probability, foresight, std, statistic, maneuver, limits, like, out):  # fmt: skip
     d, receiver, x, P = transmitters.shape[1], platforms[0], mean[0], cov[0]
     moves, delay, std_m, varies = limits[0] > 0.0, limits[1], limits[2], limits[3] > 0.0
     scratch = np.empty((2 * d + 2, 2 * d))
@@ -129,6 +132,9 @@ def _observe(time_left, platforms, mean, cov, last_action, transmitters, chosen,
             i += 1
         if varies:
             out[i] = math.log(std[n] / std_m)
+            i += 1
+        for k in range(foresight.shape[1]):
+            out[i] = 2.0 * foresight[n, k] - 1.0
             i += 1
     for k in range(i):  # a diverged tracker's NaN reads 0
         out[k] = clip_value(out[k])
@@ -161,6 +167,7 @@ class RadarObservation:
         transmitterN.blocked_probability                  1
         [transmitterN.wait]                               s     time until an echo can come / the retuning delay
         [transmitterN.log_noise]                          m     log(standard deviation of its range sum / nominal)
+        [transmitterN.clear_in_K]                         1     2 · chance to be clear at the Kth scan to come − 1
         [combinationC.log_promise]                        m     log(error it promises / least error promised)
 
     A direction of cosine −1 is that of a target between transmitter and receiver, whose range sum tells nothing of
@@ -177,21 +184,26 @@ class RadarObservation:
         std_varies: whether it differs with the ranges.
         promise: [e, c] log of the error that each combination promises, of beliefs; None: not observed.
         combinations: how many there are.
+        foresight: [e, n, q] chances to be clear in `FORESEEN_SCANS`, of beliefs; None: not observed.
     """
 
     def __init__(
         self, dimensions: int, pool: int, steps: int, moves: bool, retune_delay_s: float, std_m: float,
         std_varies: bool, promise: Callable[[RadarBelief], np.ndarray] | None = None, combinations: int = 0,
+        foresight: Callable[[RadarBelief], np.ndarray] | None = None,
     ):  # fmt: skip
         shared = tuple(_shared_fields(dimensions, moves))
-        own = [tuple(_transmitter_fields(n, dimensions, retune_delay_s > 0.0, std_varies)) for n in range(pool)]
+        foreseen = FORESEEN_SCANS if foresight is not None else ()
+        own = [
+            tuple(_transmitter_fields(n, dimensions, retune_delay_s > 0.0, std_varies, foreseen)) for n in range(pool)
+        ]
         named = shared + tuple(field for block in own for field in block)
         self.promised = combinations if promise is not None else 0
         self.fields = named + tuple(
             Field(f"combination{c}.log_promise", "m", "log(error it promises / least error promised)")
             for c in range(self.promised)
         )
-        self._promise = promise
+        self._promise, self._foresight = promise, foresight
         self.shared, self.per_transmitter = len(shared), len(own[0])
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self._like = np.empty(len(named), dtype=np.float32)
@@ -202,10 +214,11 @@ class RadarObservation:
     def __call__(self, belief: RadarBelief) -> Any:
         """Observation [e, o] float32 inside the space."""
         b = belief
+        foresight = np.empty((1, b.std.shape[1], 0)) if self._foresight is None else self._foresight(b)
         seen = _observe(
             b.steps_left / self._steps, b.platforms, b.mean, b.cov, b.last_action, b.transmitters, b.chosen, b.wait_s,
-            b.answered, b.missed, b.since_answer_s, b.since_miss_s, b.blocked_probability, b.std, b.statistic,
-            b.maneuver, self._limits, self._like,
+            b.answered, b.missed, b.since_answer_s, b.since_miss_s, b.blocked_probability, foresight, b.std,
+            b.statistic, b.maneuver, self._limits, self._like,
         )  # fmt: skip
         if self._promise is None:
             return seen
@@ -242,7 +255,7 @@ def _shared_fields(dimensions: int, moves: bool):
         yield Field("last_action0", "1", "previous turn", odd=True)
 
 
-def _transmitter_fields(n: int, dimensions: int, waits: bool, varies: bool):
+def _transmitter_fields(n: int, dimensions: int, waits: bool, varies: bool, foreseen: Sequence[int]):
     name = f"transmitter{n}"
     yield Field(f"{name}.log_range", "m", "log(range from the track / 50 km)")
     yield Field(f"{name}.sight_cos", "1", "of the level direction from it to the track, along the line of sight")
@@ -260,3 +273,5 @@ def _transmitter_fields(n: int, dimensions: int, waits: bool, varies: bool):
         yield Field(f"{name}.wait", "s", "time until an echo can come / the retuning delay")
     if varies:
         yield Field(f"{name}.log_noise", "m", "log(standard deviation of its range sum / nominal)")
+    for scans in foreseen:
+        yield Field(f"{name}.clear_in_{scans}", "1", "2 · chance to be clear so many scans on − 1")

@@ -12,12 +12,14 @@ probabilities, or, to save time, that of the case in between.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from passive_env.blockage import blocked_next
 from passive_env.radar_sensors import RadarBelief, distance, sum_std
+from passive_env.renewal import Renewal
 from trackers.axis_motion import add_axis_noise, move_axes
 from trackers.compiled import Blocks, helper, kernel
 from trackers.range_sum import range_sum_row
@@ -166,6 +168,57 @@ class Blockage:
         return Outlook(blocked, self._echo * (clear + (1.0 - clear) * same), self._echo * clear * (1.0 - same))
 
 
+class Durations:
+    """What the belief that knows how long stretches last lets expect (`passive_env.renewal`).
+
+    Args:
+        scenario: supplies durations and the probability of an echo.
+    """
+
+    def __init__(self, scenario: Any):
+        self._renewal = Renewal(scenario.stretches, scenario.step_s, scenario.echo_probability)
+        self._echo = scenario.echo_probability
+        self._tables: dict[Ahead, np.ndarray] = {}
+
+    def __call__(self, belief: RadarBelief, ahead: Ahead) -> Outlook:
+        """Outlook; on a single scan, cases are whether an echo comes, not whether it could."""
+        e, n = belief.stretch.shape[:2]
+        expected = belief.stretch.reshape(e, n, -1) @ self._table(ahead)
+        blocked, both = expected[..., 0], np.moveaxis(expected[..., 1:], -1, 1)
+        if ahead == (1, 1):
+            return Outlook(1.0 - self._echo * (1.0 - blocked), np.ones((1, 1)), np.zeros((1, 1)))
+        if_clear = both[:, : ahead.instants] / np.maximum(1.0 - blocked, 1e-12)[:, None]
+        if_blocked = both[:, ahead.instants :] / np.maximum(blocked, 1e-12)[:, None]
+        return Outlook(blocked, self._echo * np.minimum(if_clear, 1.0), self._echo * np.minimum(if_blocked, 1.0))
+
+    def _table(self, ahead: Ahead) -> np.ndarray:
+        """Columns of `Renewal.outlook_table`; an instant has the mean of the scans for which it stands."""
+        if ahead not in self._tables:
+            table = self._renewal.outlook_table(np.arange(ahead.instants * ahead.scans))
+            means = table[:, 1:].reshape(len(table), 2 * ahead.instants, ahead.scans).mean(axis=2)
+            self._tables[ahead] = np.column_stack([table[:, :1], means])
+        return self._tables[ahead]
+
+
+class Foresight:
+    """Probabilities [e, n, q] of being clear so many scans on, by the belief that knows how long stretches last.
+
+    Args:
+        scenario: supplies durations and the probability of an echo.
+        scans: [q] each at least 1.
+    """
+
+    def __init__(self, scenario: Any, scans: Sequence[int]):
+        renewal = Renewal(scenario.stretches, scenario.step_s, scenario.echo_probability)
+        table = renewal.outlook_table(np.array(scans) - 1)[:, 1:]
+        self._table = table[:, : len(scans)] + table[:, len(scans) :]
+
+    def __call__(self, belief: RadarBelief) -> np.ndarray:
+        """[e, n, q] of beliefs."""
+        e, n = belief.stretch.shape[:2]
+        return belief.stretch.reshape(e, n, -1) @ self._table
+
+
 # -- promises ----------------------------------------------------------------------------------------------------------
 
 
@@ -238,12 +291,13 @@ class Promise:
     Args:
         scenario: what is acted in.
         scans: for how long it is kept; of more than three, two are taken as one.
+        durations_known: by the belief that knows how long stretches last.
     """
 
-    def __init__(self, scenario: Any, scans: int):
+    def __init__(self, scenario: Any, scans: int, durations_known: bool = False):
         together = 2 if scans > 3 and scans % 2 == 0 else 1
         self._prediction = SumPrediction(scenario, scans, together=together, cases=scans == 1)
-        self._outlook = Blockage(scenario)
+        self._outlook = Durations(scenario) if durations_known else Blockage(scenario)
 
     def __call__(self, belief: RadarBelief) -> np.ndarray:
         """[e, c] of beliefs."""

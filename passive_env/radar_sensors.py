@@ -9,6 +9,7 @@ import numpy as np
 
 from passive_env.blockage import Stretches, predict_blocked, update_blocked
 from passive_env.radar_tape import Echoes, RadarTape
+from passive_env.renewal import Renewal
 from trackers.compiled import helper, kernel
 from trackers.gaussian import Gaussian
 from trackers.range_sum_contract import RangeSumScan, RangeSumUpdate
@@ -39,6 +40,7 @@ class RadarBelief(NamedTuple):
         missed: [e, n] bool, whose echoes it did not bring although the receiver listened.
         since_answer_s, since_miss_s: [e, n] time since the last echo and the last miss, at most `NEVER_S`.
         blocked_probability: [e, n] of being blocked at the last scan's instant (`passive_env.blockage`).
+        stretch: [e, n, 2, r] probabilities of being blocked, and clear, for how much longer (`passive_env.renewal`).
         std: [e, n] m, standard deviations of the last scan's range sums, where the track was predicted.
         statistic: [e] of the tracker's maneuver test, 0 where the track coasted.
         maneuver: [e] bool, whether the test fired.
@@ -59,13 +61,14 @@ class RadarBelief(NamedTuple):
     since_answer_s: Any
     since_miss_s: Any
     blocked_probability: Any
+    stretch: Any
     std: Any
     statistic: Any
     maneuver: Any
 
 
 class Listening(NamedTuple):
-    """What is known of every transmitter after a scan, each [e, n]; fields as in `RadarBelief`."""
+    """What is known of every transmitter after a scan; fields as in `RadarBelief`."""
 
     chosen: Any
     wait_s: Any
@@ -74,6 +77,7 @@ class Listening(NamedTuple):
     since_answer_s: Any
     since_miss_s: Any
     blocked_probability: Any
+    stretch: Any
 
 
 class RadarSighting(NamedTuple):
@@ -208,13 +212,18 @@ class SumReceiver:
         rest = (r.step_s, r.echo_probability, r.std_m, r.std_range_m, r.std_floor_m, *stretches.leaving(r.step_s))
         self._limits = np.array([r.channels, r.retune_delay_s, *rest])
         self._tuned = np.array([r.channels, 0.0, *rest])
-        self._share = stretches.share
+        self._share, self._renewal = stretches.share, Renewal(stretches, r.step_s, r.echo_probability)
 
-    def acquire(self, tape: RadarTape) -> tuple[list[RadarSighting], Any]:
+    def acquire(self, tape: RadarTape, expected: Any = None) -> tuple[list[RadarSighting], Any]:
         """The scans from which a track is started, every transmitter in its turn, and their times [t] s.
 
         Before the first decision receivers wait for nothing: each of these scans has all its echoes.
+
+        Args:
+            tape: of the episodes.
+            expected: [e, 2d] target's state at the first scan, for which standard deviations are told; None: the guess.
         """
+        expected = tape.guess if expected is None else expected
         a, n = tape.acquisition.noise.shape[1:]
         times = self._receiver.step_s * np.arange(a)
         d, platforms = tape.transmitters.shape[-1], tape.platforms
@@ -223,12 +232,12 @@ class SumReceiver:
             turn = (np.arange(n) - t * self._receiver.channels) % n < self._receiver.channels
             at = platforms.copy()
             at[..., :d] += platforms[..., d:] * (times[t] - times[-1])
-            guess = tape.guess.copy()
-            guess[:, :d] += guess[:, d:] * times[t]
+            place = expected.copy()
+            place[:, :d] += place[:, d:] * times[t]
             scores = np.broadcast_to(turn.astype(float), (len(at), n))
             step = np.full(len(at), t)
             sightings.append(
-                self._sense(tape.acquisition, step, at, tape.transmitters, scores, known, guess[:, None], self._tuned)
+                self._sense(tape.acquisition, step, at, tape.transmitters, scores, known, place[:, None], self._tuned)
             )
             known = sightings[-1].listening
         waiting = np.where(known.chosen, 0.0, self._receiver.retune_delay_s)
@@ -270,7 +279,8 @@ class SumReceiver:
     def _nothing_known(self, tape: RadarTape) -> Listening:
         shape = tape.noise[:, 0].shape
         none, never = np.zeros(shape, dtype=bool), np.full(shape, NEVER_S)
-        return Listening(none, np.zeros(shape), none, none, never, never, np.full(shape, self._share))
+        stretch = np.broadcast_to(self._renewal.stationary, (*shape, *self._renewal.stationary.shape))
+        return Listening(none, np.zeros(shape), none, none, never, never, np.full(shape, self._share), stretch)
 
     def _sense(self, echoes: RadarTape | Echoes, step, platforms, transmitters, scores, known, mean, limits):
         sums, answered, std, chosen, wait, missed, since_answer, since_miss, probability, blocked, truth = _listen(
@@ -280,7 +290,8 @@ class SumReceiver:
         )  # fmt: skip
         d = transmitters.shape[-1]
         scan = RangeSumScan(sums, answered, transmitters, np.ascontiguousarray(platforms[:, 0, :d]), std)
-        listening = Listening(chosen, wait, answered, missed, since_answer, since_miss, probability)
+        stretch = self._renewal.follow(known.stretch, answered, missed)
+        listening = Listening(chosen, wait, answered, missed, since_answer, since_miss, probability, stretch)
         return RadarSighting(scan, listening, truth, blocked)
 
 

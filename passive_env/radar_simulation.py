@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from passive_env.core import Simulation, World, check_estimate
-from passive_env.radar_sensors import RadarBelief, coarse_guess, stack_scans
+from passive_env.radar_sensors import RadarBelief, RadarSighting, coarse_guess, stack_scans
+from trackers.gaussian import Gaussian
 
 
 class RadarSimulation(Simulation):
@@ -22,9 +23,14 @@ class RadarSimulation(Simulation):
         tape = self.scenario.draw_tape(generators)
         sightings, times = self.sensors.acquire(tape)
         guess = coarse_guess(tape.guess, self.scenario.guess_std)
-        state = self.tracker.initiate(stack_scans(sightings), guess, times)
+        state = self._start(sightings, guess, times)
+        if self.scenario.std_range_m > 0.0:  # the guess may be so far off that noise is ten times what it lets expect
+            found = self.tracker.estimate(state).mean[:, 0].copy()
+            d = found.shape[1] // 2
+            found[:, :d] -= times[-1] * found[:, d:]
+            sightings, times = self.sensors.acquire(tape, found)
+            state = self._start(sightings, guess, times)
         estimate, truth = self.tracker.estimate(state), sightings[-1].truth
-        check_estimate(estimate, truth.shape, self.tracker)
         reports = self.sensors.acquired(sightings)
         bound, metrics = self.metrics.begin(estimate, truth, sightings, guess, tape)
         batch = len(generators)
@@ -34,6 +40,12 @@ class RadarSimulation(Simulation):
             self.metrics.violations(tape.platforms, truth, tape),
         )  # fmt: skip
 
+    def _start(self, sightings: list[RadarSighting], guess: Gaussian, times: Any) -> Any:
+        """The tracker's state after the acquisition."""
+        state = self.tracker.initiate(stack_scans(sightings), guess, times)
+        check_estimate(self.tracker.estimate(state), sightings[-1].truth.shape, self.tracker)
+        return state
+
     def belief(self, world: World) -> RadarBelief:
         """What an operator knows of the world."""
         told, known = world.reports, world.reports.listening
@@ -41,7 +53,7 @@ class RadarSimulation(Simulation):
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             world.last_action, world.track_state, world.tape.discs, world.tape.transmitters, known.chosen,
             known.wait_s, known.answered, known.missed, known.since_answer_s, known.since_miss_s,
-            known.blocked_probability, told.scan.std, told.statistic, told.maneuver,
+            known.blocked_probability, known.stretch, told.scan.std, told.statistic, told.maneuver,
         )  # fmt: skip
 
     def sense(self, world: World, step: Any, platforms: Any, predicted: Any, command: Any) -> Any:

@@ -26,6 +26,28 @@ def towards(headings: np.ndarray, platforms: np.ndarray, turn_per_step: float) -
     return np.clip(missing / max(turn_per_step, 1e-12), -1.0, 1.0)
 
 
+def lead_pursuit(platform: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Headings [...] rad on which platforms meet targets that fly straight on soonest.
+
+    A target that cannot be met is aimed at where it will be after the time that the way to it takes; towards one that
+    is no number the heading is none either.
+
+    Args:
+        platform, target: states [..., 4] or [..., 6].
+    """
+    own, other = plan_view(platform), plan_view(target)
+    line, v = other[..., :2] - own[..., :2], other[..., 2:]
+    speed = np.linalg.norm(own[..., 2:], axis=-1)
+    a, b, c = np.square(v).sum(-1) - speed**2, (line * v).sum(-1), np.square(line).sum(-1)
+    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+    slow = np.where(a < 0.0, (-b - root) / np.where(a < 0.0, a, -1.0), np.inf)  # the target is the slower one
+    fast = c / np.where(root > b, root - b, np.nan)
+    time = np.where(a < 0.0, slow, np.where((b < 0.0) & (b * b >= a * c), fast, np.inf))
+    time = np.where(np.isfinite(time), time, np.sqrt(c) / np.maximum(speed, 1e-9))
+    aim = line + time[..., None] * v
+    return np.arctan2(aim[..., 1], aim[..., 0])
+
+
 def line_of_sight(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Level directions [..., s] rad from platforms [..., s, n] to the middle of tracks [..., m, n]."""
     to_middle = mean[..., None, :, :2].mean(-2) - platforms[..., :2]

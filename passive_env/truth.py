@@ -104,6 +104,10 @@ class ManeuverTruthObservation:
         return self._mirror_sign * numbers
 
 
+SCANS_AHEAD = (5, 10, 20)
+"""Scans to come of which a critic of a passive radar is told who will be blocked."""
+
+
 class RadarTruthObservation:
     """What `TruthObservation` shows of a passive radar's target, and which transmitters are blocked now.
 
@@ -111,22 +115,39 @@ class RadarTruthObservation:
 
         truth0.log_horizontal_bound          m     log(bound / 100 m) / 2
         truth0.blockedN                      1     1 if transmitter N is
+        truth0.blockedN_in_K                 1     share of the K scans to come in which it is, K each of `SCANS_AHEAD`
 
     Args:
         pool: number of transmitters.
+
+    Attributes:
+        shared: how many fields are not a transmitter's; of the others, each kind's stand together.
     """
 
     def __init__(self, pool: int):
         self._truth = TruthObservation(1)
         bound = Field("truth0.log_horizontal_bound", "m", "log(Cramér–Rao bound / 100 m) / 2")
-        blocked = (Field(f"truth0.blocked{n}", "1", f"1 if transmitter {n} is blocked") for n in range(pool))
+        blocked = [Field(f"truth0.blocked{n}", "1", f"1 if transmitter {n} is blocked") for n in range(pool)]
+        blocked += [
+            Field(f"truth0.blocked{n}_in_{k}", "1", f"share of {k} scans in which transmitter {n} will be blocked")
+            for k in SCANS_AHEAD
+            for n in range(pool)
+        ]
         self.fields = (*self._truth.fields, bound, *blocked)
+        self.shared = len(self._truth.fields) + 1
 
     def __call__(self, world: World) -> np.ndarray:
         """Numbers [e, d] float32 in ±`LIMIT`."""
         bound = 0.5 * np.log(np.maximum(world.metrics.horizontal_crlb_m, 1.0) / 100.0)
-        numbers = np.clip(np.hstack([bound, world.reports.blocked]), -LIMIT, LIMIT)
+        numbers = np.clip(np.hstack([bound, world.reports.blocked, *self._soon(world)]), -LIMIT, LIMIT)
         return np.hstack([self._truth(world), numbers.astype(np.float32)])
+
+    def _soon(self, world: World) -> list[np.ndarray]:
+        """Shares [e, n] of `SCANS_AHEAD` scans to come that are blocked; past the tape's end as at it."""
+        hidden = world.tape.blocked
+        later = np.minimum(world.step[:, None] + np.arange(1, max(SCANS_AHEAD) + 1), hidden.shape[1] - 1)
+        ahead = hidden[np.arange(len(hidden))[:, None], later]
+        return [ahead[:, :k].mean(axis=1) for k in SCANS_AHEAD]
 
     def mirrored(self, numbers: np.ndarray) -> np.ndarray:
         """Numbers [..., d] of the mirrored worlds: left is right, every transmitter keeps its number."""

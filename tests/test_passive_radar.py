@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest, norm
 
-from agents.evaluation import fly
+from agents.evaluation import fly, summarize
 from agents.policy import make_policy
+from agents.report import as_markdown, write_evaluation
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.actions import Combinations
+from passive_env.actions import LEADS_DEG, Combinations
 from passive_env.blockage import Stretches, blocked, blocked_next
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.passive_radar import PAPER_SITES_M, PassiveRadar
@@ -19,6 +20,7 @@ from passive_env.core import map_rows
 from passive_env.kinematics import plan_view
 from passive_env.radar_sensors import NEVER_S
 from passive_env.render_radar import sum_ellipse
+from passive_env.steering import lead_pursuit
 from trackers import RangeSumEkf
 from trackers.angles import wrap
 from trackers.axis_motion import axis_noise, axis_transition
@@ -154,8 +156,8 @@ def test_recorded_flights_enter_the_corridor_and_keep_their_shape():
     for path in np.concatenate([tape.acquisition.targets[:, :-1, 0], tape.targets[:, :, 0]], axis=1):
         speed = np.hypot(*path[:, 2:].T)
         at = [i for i in np.flatnonzero(np.isclose(np.hypot(*recorded[:, 3:5].T), speed[0], rtol=1e-12))
-              if np.allclose(np.hypot(*recorded[i : i + 50, 3:5].T), speed, rtol=1e-9)]  # fmt: skip
-        gaps = [np.hypot(*np.diff(p[:, :2], axis=0).T) for p in (path, recorded[at[0] : at[0] + 50])]
+              if np.allclose(np.hypot(*recorded[i : i + 60, 3:5].T), speed, rtol=1e-9)]  # fmt: skip
+        gaps = [np.hypot(*np.diff(p[:, :2], axis=0).T) for p in (path, recorded[at[0] : at[0] + 60])]
         np.testing.assert_allclose(*gaps, rtol=1e-9, atol=1e-6)
 
 
@@ -298,16 +300,37 @@ def test_discrete_actions_are_combinations_in_order():
     assert np.array_equal(env.step(np.array([9]))[0], twin.step(asking(*scenario.combinations[9])[0])[0])
 
 
-def test_discrete_actions_of_a_moving_receiver_turn_first():
-    codec = make_scenario(NAME, {"actions": "discrete", "transmitters": 4, **MOBILE}).make_actions()
-    assert codec.space.nvec.tolist() == [3, 6]
-    assert np.array_equal(codec.decode([[2, 5], [0, 0]], 2), [[1, -1, -1, 1, 1], [-1, 1, 1, -1, -1]])
-    assert np.array_equal(codec.encode(codec.decode([[1, 3]], 1)), [[1, 3]])
-    assert np.array_equal(codec.mirrored(np.array([[2, 5]])), [[0, 5]])
-    for bad in ([[3, 0]], [[0, 6]], [[-1, 0]], [[0.5, 0]], [[np.nan, 0]], [[1]]):
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_discrete_actions_of_a_moving_receiver_are_courses_off_lead_pursuit(dimensions):
+    fields = {"actions": "discrete", "transmitters": 4, "dimensions": dimensions, **MOBILE}
+    scenario = make_scenario(NAME, fields)
+    codec, pairs = scenario.make_actions(), len(scenario.combinations)
+    assert isinstance(codec, Combinations)
+    assert codec.space.nvec.tolist() == [len(LEADS_DEG), pairs]
+    simulation, world = begin(6, **fields)
+    world = world._replace(platforms=world.platforms.copy())
+    for lead, off in enumerate(np.radians(LEADS_DEG)):
+        actions = np.column_stack([np.full(6, lead), np.arange(6) % pairs])
+        belief = simulation.belief(world)
+        commands = codec.commands(codec.decode(actions, 6), belief)
+        aim = lead_pursuit(belief.platforms[:, 0], belief.mean[:, 0]) + off
+        missing = np.degrees(wrap(aim - np.arctan2(*belief.platforms[:, 0, dimensions : dimensions + 2].T[::-1])))
+        np.testing.assert_allclose(commands[:, 0], np.clip(missing / 5.0, -1.0, 1.0), atol=1e-9)
+        assert np.array_equal(np.flatnonzero(commands[0, 1:] > 0), scenario.combinations[actions[0, 1]])
+        # turned onto the course, the choice that keeps it is found again
+        turned = world.platforms.copy()
+        speed = np.linalg.norm(turned[:, 0, dimensions : dimensions + 2], axis=1)
+        turned[:, 0, dimensions], turned[:, 0, dimensions + 1] = speed * np.cos(aim), speed * np.sin(aim)
+        on_course = simulation.belief(world._replace(platforms=turned))
+        kept = codec.commands(codec.decode(actions, 6), on_course)
+        np.testing.assert_allclose(kept[:, 0], 0.0, atol=1e-9)
+        assert np.array_equal(codec.encode(kept, on_course), actions)
+    assert np.array_equal(codec.mirrored(np.array([[2, 3]])), [[len(LEADS_DEG) - 3, 3]])
+    for bad in ([[len(LEADS_DEG), 0]], [[0, pairs]], [[-1, 0]], [[0.5, 0]], [[np.nan, 0]], [[1]]):
         with pytest.raises(ValueError, match="action"):
             codec.decode(bad, 1)
-    assert isinstance(codec, Combinations)
+    with pytest.raises(TypeError, match="need the belief"):
+        codec.encode(kept)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -348,14 +371,14 @@ def test_echoes_of_clear_transmitters_come_as_often_as_stated():
 def test_the_acquisition_listens_to_all_transmitters_in_turn():
     simulation, world = begin(3, transmitters=5, channels=2)
     sightings, times = simulation.sensors.acquire(world.tape)
-    assert np.array_equal(times, np.arange(10.0))
+    assert np.array_equal(times, np.arange(20.0))
     asked = [np.flatnonzero(sighting.listening.chosen[0]).tolist() for sighting in sightings]
     assert asked[:5] == [[0, 1], [2, 3], [0, 4], [1, 2], [3, 4]]
-    assert asked[5:] == asked[:5]
+    assert asked[5:10] == asked[10:15] == asked[15:] == asked[:5]
 
 
 def test_a_newly_chosen_transmitter_is_heard_after_the_delay():
-    simulation, world = begin(1, retune_delay_s=3.0, **CLEAN)
+    simulation, world = begin(1, retune_delay_s=3.0, acquisition_scans=10, **CLEAN)
     assert np.flatnonzero(world.reports.listening.chosen[0]).tolist() == [2, 3]  # 10 scans of two of eight
     history = []
     for pair in [(2, 5)] * 4 + [(5, 6)] + [(2, 5)] * 4:
@@ -421,7 +444,7 @@ def test_a_constant_heading_leads_to_the_target():
     far = np.hypot(*sight.T) > 5e3  # nearer ones cross its nose faster than it turns
     off = wrap(np.arctan2(platforms[:, 3], platforms[:, 2]) - np.arctan2(sight[:, 1], sight[:, 0]))
     assert far.sum() >= 8
-    assert np.abs(np.degrees(off[far])).max() < 6.0
+    assert (np.abs(np.degrees(off[far])) < 6.0).sum() >= far.sum() - 1  # one has just passed its target
 
 
 # ------------------------------------------------------------------------------------------------ track, figures, bound
@@ -540,8 +563,8 @@ class Recorder:
     def __getattr__(self, name):
         return getattr(self.sensors, name)
 
-    def acquire(self, tape):
-        self.kept.append(self.sensors.acquire(tape))
+    def acquire(self, *args):
+        self.kept.append(self.sensors.acquire(*args))
         return self.kept[-1]
 
     def sense(self, *args):
@@ -552,7 +575,7 @@ class Recorder:
 class Replayer(Recorder):
     """Sensors that give what was kept: the same to the operator, with another truth behind it."""
 
-    def acquire(self, tape):
+    def acquire(self, *args):
         sightings, times = self.kept.pop(0)
         return [other_truth(sighting) for sighting in sightings], times
 
@@ -581,7 +604,7 @@ def test_observations_do_not_change_when_the_truth_behind_the_same_echoes_does(m
     for a, b in zip(ours, theirs, strict=True):
         assert not np.array_equal(a.truth, b.truth)
         assert np.array_equal(first.observe(a), second.observe(b))
-        map_rows(np.testing.assert_array_equal, first.belief(a)[:-1], second.belief(b)[:-1])
+        map_rows(np.testing.assert_array_equal, first.belief(a), second.belief(b))
     assert not np.array_equal(ours[-1].metrics.position_error_m, theirs[-1].metrics.position_error_m)
 
 
@@ -709,7 +732,15 @@ def test_the_critic_knows_who_is_blocked():
     numbers, names = model(worlds[-1]), [field.name for field in model.fields]
     assert numbers.shape == (5, len(names))
     first = names.index("truth0.blocked0")
-    assert np.array_equal(numbers[:, first:], worlds[-1].tape.blocked[:, 4].astype(np.float32))
+    hidden = worlds[-1].tape.blocked
+    assert np.array_equal(numbers[:, first : first + 8], hidden[:, 4].astype(np.float32))
+    for scans in (5, 10, 20):
+        at = names.index(f"truth0.blocked0_in_{scans}")
+        np.testing.assert_allclose(numbers[:, at : at + 8], hidden[:, 5 : 5 + scans].mean(axis=1), rtol=1e-6)
+    assert (model.shared, len(names)) == (first, first + 32)
+    last = worlds[-1]._replace(step=np.full(5, hidden.shape[1] - 2))
+    at = names.index("truth0.blocked0_in_10")
+    assert np.array_equal(model(last)[:, at : at + 8], hidden[:, -1].astype(np.float32))  # as if it stayed so
     bound = 0.5 * np.log(worlds[-1].metrics.horizontal_crlb_m[:, 0] / 100.0)
     np.testing.assert_allclose(numbers[:, first - 1], bound, rtol=1e-5)
 
@@ -868,7 +899,8 @@ BAD = [
     ({"course": "flights", "maneuvers": True}, "maneuvers = True: is not used with course='flights'"),
     ({"course": "flights", "steps": 10_000}, "no flight"),
     ({"standoff_m": 6e3}, "may start 5000 m from the receiver"),
-    ({"tracker": "kalman"}, "must be one of 'ekf', 'ekf_literal'"),
+    ({"standoff_m": 5e3, "sites": "paper_good"}, "may start 0 m from the receiver"),
+    ({"tracker": "kalman"}, "must be one of 'ekf', 'ekf_second_order', 'ekf_literal'"),
     ({"site_range_min_m": 2e5}, "site_range_min_m"),
     ({"range_sum_std_m": 0.0}, "range_sum_std_m"),
 ]
@@ -926,3 +958,40 @@ def test_scans_without_an_echo_let_the_track_coast():
 def test_every_field_has_a_rule():
     for field in dataclasses.fields(PassiveRadar):
         assert field.metadata.get("doc"), field.name
+
+
+# ------------------------------------------------------------------------------------------------------- evaluation
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_evaluations_tell_level_and_height_errors_and_those_of_settled_tracks(dimensions, tmp_path):
+    scenario = make_scenario(NAME, {"steps": 60, "dimensions": dimensions})
+    record = fly(scenario, make_policy("round_robin", scenario), 3, 5)
+    env = PassiveVectorEnv(scenario, num_envs=3)
+    observation, _ = env.reset(seed=5)
+    policy, level, height = make_policy("round_robin", scenario), [], []
+    policy.reset(env.belief())
+    for _ in range(60):
+        belief = env.belief()
+        env.step(env.simulation.actions.encode(policy.act(belief, observation), belief))
+        off = env.world.estimate.mean[:, 0] - env.world.truth[:, 0]
+        level.append(np.hypot(off[:, 0], off[:, 1]))
+        height.append(np.abs(off[:, 2]))
+    samples = record.samples
+    np.testing.assert_allclose(samples["mean_horizontal_error_m"], np.mean(level, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(samples["settled_horizontal_error_m"], np.mean(level[50:], axis=0), rtol=1e-9)
+    assert ("mean_height_error_m" in samples) == (dimensions == 3)
+    if dimensions == 3:
+        np.testing.assert_allclose(samples["mean_height_error_m"], np.mean(height, axis=0), rtol=1e-9)
+    summary = summarize(f"passive/{NAME}-v0", 5, {"round_robin": record, "twin": record})
+    table = as_markdown(summary)
+    assert "settled" in table
+    assert "first 50 s" in table
+    assert ("height average" in table) == (dimensions == 3)
+    files = {file.name for file in write_evaluation(tmp_path, summary, {"round_robin": record}, scenario)}
+    assert "maneuvers.png" not in files  # the receiver stands
+
+
+def test_short_episodes_have_no_settled_tracks():
+    scenario = make_scenario(NAME, {"steps": 30})
+    assert "settled_horizontal_error_m" not in fly(scenario, make_policy("rule", scenario), 2, 1).samples

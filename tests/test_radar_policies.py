@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from scipy.stats import t as student
 
 from agents.evaluation import fly
@@ -23,6 +24,7 @@ from passive_env import PassiveVectorEnv
 from passive_env.catalogue import make_scenario
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import map_rows
+from passive_env.observations import LIMIT
 from passive_env.radar_promise import Ahead, Blockage, Outlook, SumPrediction, everyone, straight_on
 from trackers.axis_motion import axis_noise, axis_transition
 from trackers.range_sum import range_sum_jacobian
@@ -88,13 +90,25 @@ def test_every_policy_gives_commands_that_choose_and_depend_on_no_other_episode(
 
 def test_names_offered_follow_the_scenario():
     plain, retune, mobile = (set(policy_names(make_scenario(name, {}))) for name in NAMES)
-    assert {"fixed", "best_fixed", "rule", "greedy", "skip", "bayes", "oracle", "random"} <= plain
-    assert retune - plain == {"hysteresis", "hold10"}
-    assert {"straight", "pursuit", "hold"} <= mobile - plain
+    assert {"fixed", "best_fixed", "rule", "greedy", "skip", "bayes", "timed", "oracle", "random"} <= plain
+    assert retune - plain == {"hysteresis", "hold10", "timed10"}
+    assert {"straight", "pursuit", "timed_pursuit", "hold"} <= mobile - plain
     assert "paper" in policy_names(make_scenario("PassiveRadar", {"sites": "paper_good", "dimensions": 3}))
 
 
 # -------------------------------------------------------------------------------------------------------------- rules
+
+
+def test_hindsight_is_the_best_that_always_listens_to_the_same():
+    scenario = small(transmitters=4, steps=30)
+    best = fly(scenario, make_policy("hindsight", scenario), 6, 40)
+    every = []
+    for number in range(6):
+        policy: Any = make_policy("fixed", scenario)
+        policy.choose = lambda belief, number=number: np.full(len(belief.steps_left), number)
+        every.append(fly(scenario, policy, 6, 40).mean.ravel())
+    np.testing.assert_allclose(best.mean.ravel(), np.min(every, axis=0), rtol=1e-12)
+    assert len(set(np.argmin(every, axis=0))) > 1
 
 
 def test_round_robin_gives_every_combination_as_many_scans():
@@ -377,22 +391,35 @@ def test_a_receiver_that_holds_stays_near():
 # ------------------------------------------------------------------------------------------------------------ network
 
 
-def make_network(scenario, seed=0):
+def make_network(scenario, seed=0, truth=None):
     """An untrained network for a scenario."""
     torch.manual_seed(seed)
     simulation = scenario.make_simulation()
+    size = len(simulation.observation.fields) + (0 if truth is None else len(truth.fields))
     return TransmitterPolicy(
-        simulation.observation.space, simulation.actions.space, lambda share: 1e-3, net_arch=[16, 16],
-        layout=network_settings(scenario), sharpness=400.0,
+        spaces.Box(-LIMIT, LIMIT, (size,), np.float32), simulation.actions.space, lambda share: 1e-3,
+        net_arch=[16, 16], layout=network_settings(scenario, truth), sharpness=400.0,
     )  # fmt: skip
 
 
+def shaken(network):
+    """The network with weights that are not those of an untrained one."""
+    torch.manual_seed(9)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    return network
+
+
 @pytest.mark.parametrize(
-    ("name", "teacher", "scans"), [("PassiveRadar", "bayes", 1), ("PassiveRadarRetune", "hold10", 10)]
-)
+    ("name", "teacher", "scans", "known"),
+    [
+        ("PassiveRadar", "bayes", 1, False), ("PassiveRadarRetune", "hold10", 10, False),
+        ("PassiveRadar", "timed", 1, True), ("PassiveRadarRetune", "timed10", 10, True),
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("actions", ["discrete", "continuous"])
-def test_an_untrained_network_acts_as_the_search_does(name, teacher, scans, actions):
-    scenario = small(name, actions=actions, promised_scans=scans)
+def test_an_untrained_network_acts_as_the_search_does(name, teacher, scans, known, actions):
+    scenario = small(name, actions=actions, promised_scans=scans, durations_known=known)
     _, belief, observation = flown_belief(scenario, 16)
     network = make_network(scenario)
     actions, _ = network.predict(observation, deterministic=True)
@@ -403,6 +430,60 @@ def test_an_untrained_network_acts_as_the_search_does(name, teacher, scans, acti
             scores = network.get_distribution(torch.from_numpy(observation)).mode().numpy()
         found = np.sort(np.argsort(-scores, axis=1)[:, :2], axis=1)
     np.testing.assert_array_equal(found, chosen(make_policy(teacher, scenario), belief, scenario))
+
+
+def test_an_untrained_network_of_a_receiver_that_moves_flies_lead_pursuit():
+    scenario = small("MobileReceiver", actions="discrete", promised_scans=1, durations_known=True, steps=40)
+    env, belief, observation = flown_belief(scenario, 16, 30)
+    actions, _ = make_network(scenario).predict(observation, deterministic=True)
+    commands = env.simulation.actions.commands(env.simulation.actions.decode(actions, 16), belief)
+    np.testing.assert_array_equal(commands, make_policy("timed_pursuit", scenario).act(belief, observation))
+
+
+@pytest.mark.parametrize(("name", "actions"), [("PassiveRadar", "discrete"), ("MobileReceiver", "continuous")])
+def test_only_the_critic_sees_the_truth_and_what_flies_acts_alike(name, actions):
+    scenario = small(name, actions=actions, promised_scans=1)
+    truth = scenario.make_truth_observation()
+    env, _, observation = flown_belief(scenario, 8)
+    network = shaken(make_network(scenario, truth=truth))
+    rng = np.random.default_rng(0)
+    told = truth(env.world)
+    otherwise = rng.uniform(-1.0, 1.0, told.shape).astype(np.float32)
+    both = [torch.from_numpy(np.hstack([observation, part])) for part in (told, otherwise)]
+    with torch.no_grad():
+        scores = [network.mlp_extractor.forward_actor(part).numpy() for part in both]
+        values = [network.predict_values(part).numpy() for part in both]
+    np.testing.assert_array_equal(*scores)
+    assert (np.abs(values[0] - values[1]) > 1e-6).all()
+    _, settings, actor = network.flown()
+    plain = make_network(scenario)
+    plain.load_state_dict(actor, strict=False)
+    assert (settings["layout"]["truth"], settings["layout"]["truth_shared"]) == (0, 0)
+    with torch.no_grad():
+        found = plain.mlp_extractor.forward_actor(torch.from_numpy(observation)).numpy()
+    np.testing.assert_array_equal(found, scores[0])
+    flown = [part.predict(o, deterministic=True)[0] for part, o in ((network, both[0].numpy()), (plain, observation))]
+    np.testing.assert_array_equal(*flown)
+
+
+def test_the_critic_is_told_of_each_transmitter_what_is_its_own():
+    """Exchanging two transmitters in the observation and in the truth leaves its value as it is."""
+    scenario = small(transmitters=4)
+    truth = scenario.make_truth_observation()
+    _, _, observation = flown_belief(scenario, 8, 5)
+    network = shaken(make_network(scenario, truth=truth))
+    order, shared, own = np.array([2, 1, 0, 3]), network.layout["shared"], network.layout["per_transmitter"]
+    blocks = observation[:, shared:].reshape(8, 4, own)
+    told = np.random.default_rng(1).random((8, len(truth.fields))).astype(np.float32)
+    kinds = told[:, truth.shared :].reshape(8, -1, 4)
+    same = np.hstack([observation, told])
+    moved = np.hstack([observation[:, :shared], blocks[:, order].reshape(8, -1), told[:, : truth.shared],
+                       kinds[:, :, order].reshape(8, -1)])  # fmt: skip
+    mixed = np.hstack([moved[:, : -kinds[0].size], told[:, truth.shared :]])
+    with torch.no_grad():
+        values = [network.predict_values(torch.from_numpy(part)).numpy() for part in (same, moved, mixed)]
+    np.testing.assert_allclose(values[1], values[0], rtol=1e-4, atol=1e-5)
+    assert (np.abs(values[2] - values[0]) > 1e-5).any()
 
 
 @pytest.mark.parametrize("actions", ["discrete", "continuous"])
@@ -478,7 +559,6 @@ def test_wrong_networks_are_refused(tmp_path):
     run = plan("PassiveRadar", tmp_path)
     for change, words in (
         ({"network": "per_target"}, "knows no network 'per_target'"),
-        ({"network": "per_transmitter", "asymmetric": True}, "cannot take network"),
         ({"network": "per_transmitter", "first_action": [0.0]}, "cannot take network"),
     ):
         with pytest.raises(ValueError, match=words):

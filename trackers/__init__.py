@@ -15,7 +15,7 @@ from trackers.gaussian import Gaussian
 from trackers.imm import Imm3
 from trackers.imm_mie import ImmMie, InputEstimation, Mie
 from trackers.range_sum_contract import RangeSumScan, RangeSumTrack, RangeSumTracker, RangeSumUpdate
-from trackers.range_sum_ekf import RangeSumEkf, RangeSumEkfLiteral
+from trackers.range_sum_ekf import RangeSumEkf, RangeSumEkfLiteral, RangeSumEkfSecondOrder
 from trackers.rp_ekf import Bank, RpEkf
 from trackers.scan_fusion import FusedScan, ScanFusion
 
@@ -41,7 +41,9 @@ MANEUVER_TRACKERS: dict[str, type[FixTracker]] = {
 }
 """Trackers of a maneuvering target on bearings that cross, by name."""
 
-RANGE_SUM_TRACKERS: dict[str, type[RangeSumEkf]] = {"ekf": RangeSumEkf, "ekf_literal": RangeSumEkfLiteral}
+RANGE_SUM_TRACKERS: dict[str, type[RangeSumEkf]] = {
+    "ekf": RangeSumEkf, "ekf_second_order": RangeSumEkfSecondOrder, "ekf_literal": RangeSumEkfLiteral,
+}  # fmt: skip
 """Trackers on bistatic range sums, by name."""
 
 __all__ = [
@@ -76,6 +78,7 @@ __all__ = [
     "PolarScan",
     "RangeSumEkf",
     "RangeSumEkfLiteral",
+    "RangeSumEkfSecondOrder",
     "RangeSumScan",
     "RangeSumTrack",
     "RangeSumTracker",

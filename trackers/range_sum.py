@@ -104,6 +104,34 @@ def whitened_row_gain(P, row, var, column, d):
 
 
 @helper
+def range_sum_curvature(p, P, site, other, curve, d):
+    """What a range sum's second derivative makes of a spread P about p: mean [m] and variance [m²] to second order.
+
+    ½ tr(G P) and ½ tr((G P)²) with G = (I − u uᵀ)/r of the one way and the other; curve [d, d] is scratch.
+    """
+    near, far = 0.0, 0.0
+    for i in range(d):
+        near += (p[i] - site[i]) ** 2
+        far += (p[i] - other[i]) ** 2
+    near, far = max(near, MIN_RANGE_SQUARED), max(far, MIN_RANGE_SQUARED)
+    r, r_other = math.sqrt(near), math.sqrt(far)
+    for i in range(d):
+        for j in range(d):
+            curve[i, j] = 0.0
+            for k in range(d):
+                unit = 1.0 if i == k else 0.0
+                one_way = (unit - (p[i] - site[i]) * (p[k] - site[k]) / near) / r
+                other_way = (unit - (p[i] - other[i]) * (p[k] - other[k]) / far) / r_other
+                curve[i, j] += (one_way + other_way) * P[k, j]
+    mean = variance = 0.0
+    for i in range(d):
+        mean += 0.5 * curve[i, i]
+        for j in range(d):
+            variance += 0.5 * curve[i, j] * curve[j, i]
+    return max(mean, 0.0), max(variance, 0.0)
+
+
+@helper
 def absorb_column(P, column, n):
     """P [n, n] − column columnᵀ, in place."""
     for i in range(n):

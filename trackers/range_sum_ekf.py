@@ -6,6 +6,10 @@ J is χ² with as many degrees of freedom as sums were used. Where it reaches th
 with N²Q, for N scales the acceleration, and used then. As the noises are independent the sums are taken one after the
 other at one linearisation, which equals the stacked update; J is then the sum of the squared whitened innovations.
 
+With `second_order` a sum's curvature counts: it lengthens the expected sum and adds to its variance (Gaussian
+second-order filter). Near a site, where noise that grows with the ranges is small, the plain filter takes itself for
+far better than it is and may lose a target that is passed closely.
+
 Where all sites lie level, a target and its mirror image below them have the same range sums. An estimate below the
 ground is therefore turned up again, position, velocity and covariance: the mirror's own track.
 Source: Xu and Wang (2009), eqs 4–13. Deviations: eq 13's S has H P Hᵀ where the print drops Hᵀ, and its e is the
@@ -28,7 +32,13 @@ from trackers.compiled import helper, kernel
 from trackers.gaussian import Gaussian
 from trackers.linalg import LOG_TWO_PI
 from trackers.position_update import copy_gaussian
-from trackers.range_sum import absorb_column, range_sum_row, short_of_baseline, whitened_row_gain
+from trackers.range_sum import (
+    absorb_column,
+    range_sum_curvature,
+    range_sum_row,
+    short_of_baseline,
+    whitened_row_gain,
+)
 from trackers.range_sum_contract import RangeSumScan, RangeSumTrack, RangeSumUpdate
 from trackers.range_sum_start import mirror_up, start_range_sums
 
@@ -45,6 +55,7 @@ class RangeSumEkf:
         false_alarm: probability that the maneuver test fires on a target that flies straight; 0: no test.
         inflation: N, at least 1; a fired test multiplies the acceleration's standard deviation by it.
         floor_m: height of the ground; estimates below it are turned up (in the plane without meaning).
+        second_order: whether the curvature of range sums counts.
     Raises:
         ValueError: a setting outside its range.
     """
@@ -53,6 +64,7 @@ class RangeSumEkf:
     false_alarm: float = 1e-3
     inflation: float = 100.0
     floor_m: float = 0.0
+    second_order: bool = False
 
     def __post_init__(self) -> None:
         w = np.array(self.process_noise, dtype=float)
@@ -110,7 +122,8 @@ class RangeSumEkf:
         if np.shape(state.mean)[-1:] != (states,) or sums > MOST_SUMS:
             shapes = f"mean {np.shape(state.mean)}, receiver {np.shape(scan.receiver)}, {sums} range sums"
             raise ValueError(f"update: {shapes}: must be [..., 2d], [..., d] and at most {MOST_SUMS}")
-        mean, cov, *rest = _update(*state, *scan, self.noise, self.thresholds, self.inflation, self.floor_m)
+        settings = (self.thresholds, self.inflation, self.floor_m, self.second_order)
+        mean, cov, *rest = _update(*state, *scan, self.noise, *settings)
         return RangeSumUpdate(RangeSumTrack(mean, cov, state.step_s), *rest)
 
     def estimate(self, state: RangeSumTrack) -> Gaussian:
@@ -125,6 +138,13 @@ class RangeSumEkfLiteral(RangeSumEkf):
     false_alarm: float = 0.0
 
 
+@dataclass(frozen=True)
+class RangeSumEkfSecondOrder(RangeSumEkf):
+    """With the curvature of range sums: for receivers that come close to their target."""
+
+    second_order: bool = True
+
+
 @kernel("(a),(a,a),(),(w)->(a),(a,a)", "FFfFFF")
 def _predict(x, P, T, w, x_out, P_out):
     d = x.shape[0] // 2
@@ -134,15 +154,20 @@ def _predict(x, P, T, w, x_out, P_out):
 
 
 @helper
-def _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d):
+def _absorb_sums(x, sums, used, transmitters, receiver, std, curved, scratch, x_out, P_out, d):
     """Condition x_out, P_out on all used sums, linearised at x; returns J and log √det S."""
+    bias, extra, curve, row, column = scratch
     squared = log_det = 0.0
     for i in range(sums.shape[0]):
+        bias[i] = extra[i] = 0.0
+        if curved and used[i]:
+            bias[i], extra[i] = range_sum_curvature(x, P_out, receiver, transmitters[i], curve, d)
+    for i in range(sums.shape[0]):
         if used[i]:
-            nu = sums[i] - range_sum_row(x, receiver, transmitters[i], row, d)
+            nu = sums[i] - range_sum_row(x, receiver, transmitters[i], row, d) - bias[i]
             for j in range(d):
                 nu -= row[j] * (x_out[j] - x[j])
-            root, _ = whitened_row_gain(P_out, row, std[i] * std[i], column, d)
+            root, _ = whitened_row_gain(P_out, row, std[i] * std[i] + extra[i], column, d)
             nu /= root
             squared += nu * nu
             log_det += math.log(root)
@@ -153,8 +178,9 @@ def _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out,
 
 
 @helper
-def _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, d):
+def _predict_sums(x, P, sums, valid, transmitters, receiver, std, curved, scratch, nu, S, used, d):
     """Innovations [n], their variances [n] and which sums can be used [n]; returns how many."""
+    _, _, curve, row, column = scratch
     count = 0
     for i in range(sums.shape[0]):
         used[i] = valid[i] and not short_of_baseline(sums[i], std[i], receiver, transmitters[i], d)
@@ -162,28 +188,32 @@ def _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, n
         if used[i]:
             count += 1
             nu[i] = sums[i] - range_sum_row(x, receiver, transmitters[i], row, d)
+            if curved:
+                bias, extra = range_sum_curvature(x, P, receiver, transmitters[i], curve, d)
+                nu[i], S[i] = nu[i] - bias, S[i] + extra
             S[i] += whitened_row_gain(P, row, S[i], column, d)[1]
     return count
 
 
 @kernel(
-    "(a),(a,a),(),(n),(n),(n,d),(d),(n),(w),(c),(),()->(a),(a,a),(n),(n),(),(),(),(n)",
-    "FFfFBFFFFFffFFFFffbB",
+    "(a),(a,a),(),(n),(n),(n,d),(d),(n),(w),(c),(),(),()->(a),(a,a),(n),(n),(),(),(),(n)",
+    "FFfFBFFFFFffbFFFFffbB",
 )
 def _update(
-    x, P, T, sums, valid, transmitters, receiver, std, w, thresholds, inflation, floor,
+    x, P, T, sums, valid, transmitters, receiver, std, w, thresholds, inflation, floor, curved,
     x_out, P_out, nu, S, log_likelihood, statistic, fired, used,
 ):  # fmt: skip
-    row, column, d = np.empty(3), np.empty(6), x.shape[0] // 2
-    count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, row, column, nu, S, used, d)
+    d, n = x.shape[0] // 2, sums.shape[0]
+    scratch = (np.empty(n), np.empty(n), np.empty((3, 3)), np.empty(3), np.empty(6))
+    count = _predict_sums(x, P, sums, valid, transmitters, receiver, std, curved, scratch, nu, S, used, d)
     threshold = thresholds[count]
     copy_gaussian(x, P, 2 * d, x_out, P_out)
-    squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+    squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, curved, scratch, x_out, P_out, d)
     statistic[0], fired[0] = squared, squared >= threshold
     if fired[0]:
         copy_gaussian(x, P, 2 * d, x_out, P_out)
         add_axis_noise(P_out, T, w, inflation * inflation - 1.0, d)
-        squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, row, column, x_out, P_out, d)
+        squared, log_det = _absorb_sums(x, sums, used, transmitters, receiver, std, curved, scratch, x_out, P_out, d)
     log_likelihood[0] = -0.5 * (count * LOG_TWO_PI + squared) - log_det
     if d == 3:
         mirror_up(x_out, P_out, floor)

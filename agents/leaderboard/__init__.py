@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.benchmark.results import processor_name
 from agents.files import make_folder
 from agents.leaderboard.cells import Cell, code_digest, fly_cells
 from agents.leaderboard.contestants import (
@@ -27,7 +26,7 @@ from agents.leaderboard.report import short_form, write_leaderboard
 from agents.leaderboard.standings import standing
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
-from agents.training import commit, versions
+from agents.provenance import commit, processor_name, versions
 from passive_env.catalogue import environment_id, environment_ids, make_scenario, scenario_name
 from trackers.compiled import available_cores
 

@@ -24,7 +24,7 @@ from tqdm import tqdm
 from agents.evaluation import Outcomes, fly
 from agents.files import atomic_write
 from agents.leaderboard.contestants import KINDS, Contestant
-from agents.training import versions
+from agents.provenance import versions
 
 FORMAT = 1
 """Of the files; another number makes older ones unusable."""
@@ -35,8 +35,8 @@ SHARES = ("lost", "collapsed", "nees", "standoff", "nogo")
 
 ROOT = Path(__file__).parents[2]
 SHOWING = (
-    "artists", "cli", "main_job", "maneuvers", "palette", "pictures", "placement_pictures", "registration", "report",
-    "training", "tuning",
+    "artists", "cli", "curves", "main_job", "maneuvers", "model_card", "pack", "page", "palette", "pictures",
+    "placement_pictures", "provenance", "registration", "report", "training", "tuning",
 )  # fmt: skip
 """Modules that draw, write and train: no episode depends on them."""
 
