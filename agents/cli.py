@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, reproduce, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, pack, reproduce, benchmark, list."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Evaluate:
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
     policies: tuple[str, ...] | None = None
-    """Policy names (see `passive-env list`) and run folders made by train; default all the environment offers, except
-    the oracle, which looks at the truth."""
+    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; default all the
+    environment offers, except the oracle, which looks at the truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
@@ -69,6 +69,23 @@ class Evaluate:
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
     """Folder for evaluation.json, .csv, .md and pictures."""
+
+
+@dataclass(frozen=True)
+class Pack:
+    """Pack a run's policy into one file without code, with a model card (.md) and the figures it reached (.json)."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run folder made by train."""
+    out: Path
+    """FILE.npz."""
+    evaluation: Path | None = None
+    """evaluation.json of this run beside rules, for the card; default: fly one now, of the rules and the greedy
+    policy."""
+    episodes: int = 1000
+    """Episodes of that evaluation."""
+    seed: int = 90_000_000
+    """Its first episode's seed, and the record's."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +121,10 @@ class List:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status (2 for bad input, with the reason on standard error)."""
-    commands = {"train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "benchmark": Benchmark, "list": List}
+    commands = {
+        "train": Train, "evaluate": Evaluate, "pack": Pack, "reproduce": Reproduce, "benchmark": Benchmark,
+        "list": List,
+    }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
 
@@ -115,7 +135,9 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(command: Any) -> int:
-    runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
+    runners = {
+        Train: _train, Evaluate: _evaluate, Pack: _pack, Reproduce: _reproduce, Benchmark: _benchmark, List: _list,
+    }  # fmt: skip
     try:
         runners[type(command)](command)
     except (ValueError, TypeError, OSError) as error:
@@ -137,6 +159,13 @@ def _evaluate(c: Evaluate) -> None:
     from agents.main_job import compare
 
     compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
+
+
+def _pack(c: Pack) -> None:
+    from agents.pack import pack
+
+    record = pack(c.run, c.out, c.evaluation, c.episodes, c.seed)
+    print(f"{c.out}: {record['bytes']} bytes\n\n{c.out.with_suffix('.md').read_text(encoding='utf-8')}")
 
 
 def _reproduce(c: Reproduce) -> None:
@@ -163,12 +192,18 @@ def _benchmark(c: Benchmark) -> None:
 def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
+    from agents.pretrained import PRETRAINED, pretrained_ids
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
     from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
+    trained = {environment: [PRETRAINED] for environment in pretrained_ids()}
+    offered = {
+        environment_id(name): policy_names(scenario) + trained.get(environment_id(name), [])
+        for name, scenario in SCENARIOS.items()
+    }
     for title, names in (
         ("environments", environment_ids()),
-        *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
+        *((f"policies of {environment}", names) for environment, names in offered.items()),
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),

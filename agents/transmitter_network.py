@@ -63,7 +63,7 @@ class TransmitterPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         sizes: Any = self.net_arch
-        self.mlp_extractor: Any = _SharedLayers(self.layout, list(sizes), self.activation_fn, self.sharpness)
+        self.mlp_extractor: Any = SharedLayers(self.layout, list(sizes), self.activation_fn, self.sharpness)
         self.mlp_extractor.to(self.device)
 
     def _build(self, lr_schedule: Any) -> None:
@@ -74,8 +74,13 @@ class TransmitterPolicy(ActorCriticPolicy):
         self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class _SharedLayers(nn.Module):
-    """From observations to scores [e, a] and to the critic's features."""
+class SharedLayers(nn.Module):
+    """From observations to scores [e, a] and to the critic's features.
+
+    Attributes:
+        sizes: units of the hidden layers.
+        sharpness: as of `TransmitterPolicy`.
+    """
 
     members: torch.Tensor  # [c, n], 1 of those in a combination
 
@@ -83,7 +88,7 @@ class _SharedLayers(nn.Module):
         super().__init__()
         self._shared, self._own, self._pool = layout["shared"], layout["per_transmitter"], layout["pool"]
         self._promised, self._discrete, self._rates = layout["promised"] > 0, layout["discrete"], layout["rates"]
-        self._sharpness, width = sharpness, sizes[-1]
+        self.sizes, self.sharpness, width = sizes, sharpness, sizes[-1]
         self.actor = _Encoder(self._shared, self._own, sizes, activation)
         self.critic = _Encoder(self._shared, self._own, sizes, activation)
         self.member, self.context = nn.Linear(width, width, bias=False), nn.Linear(width, width)
@@ -102,9 +107,11 @@ class _SharedLayers(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The actor's and the critic's of observations [e, d]."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Rates and scores [e, a] of observations [e, d]."""
         each = self.actor(*self._parts(features))
         mean = each.mean(dim=1)
         hidden = self.member(each)
@@ -120,6 +127,7 @@ class _SharedLayers(nn.Module):
         return torch.cat([self.rate(mean), score], dim=1) if self._rates else score
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """The critic's features [e, 2 m] of observations [e, d]."""
         each = self.critic(*self._parts(features))
         return torch.cat([each.mean(dim=1), each.amax(dim=1)], dim=1)
 
@@ -133,7 +141,7 @@ class _SharedLayers(nn.Module):
         """Sharpness times log promises of what is scored: combinations [e, c] or transmitters [e, n]."""
         if not self._promised:
             return None
-        promise = self._sharpness * features[:, self._shared + self._pool * self._own :]
+        promise = self.sharpness * features[:, self._shared + self._pool * self._own :]
         if self._discrete:
             return promise
         without = torch.where(self.members.T > 0.0, 0.0, torch.inf)
