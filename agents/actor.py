@@ -24,8 +24,8 @@ from torch import nn
 from agents.activation import QuickTanh
 from agents.transmitter_network import SharedLayers, TransmitterPolicy
 
-ROWS = 1024
-"""Observations in one block."""
+ROWS, SHARED_ROWS = 1024, 256
+"""Observations in one block: of a chain, and of layers that work on every combination of every observation."""
 
 
 class Chain:
@@ -34,6 +34,8 @@ class Chain:
     Attributes:
         layers: the modules, from flat observations to outputs.
     """
+
+    rows = ROWS
 
     def __init__(self, layers: list[nn.Module]):
         self.layers = layers
@@ -54,6 +56,8 @@ class Shared:
     Attributes:
         layers: the module.
     """
+
+    rows = SHARED_ROWS
 
     def __init__(self, layers: SharedLayers):
         self.layers = layers
@@ -82,7 +86,7 @@ class PlainActor:
         """Actions [e, a], float32 or numbers of choices, of observations [e, d]."""
         x = torch.from_numpy(np.ascontiguousarray(observation, dtype=np.float32))
         with torch.inference_mode(), _one_thread():
-            return self._act(np.concatenate([self.network(block) for block in x.split(ROWS)]))
+            return self._act(np.concatenate([self.network(block) for block in x.split(self.network.rows)]))
 
     def _numbers(self, output: np.ndarray) -> np.ndarray:
         box: Any = self.space
