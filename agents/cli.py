@@ -56,7 +56,7 @@ class Evaluate:
     """Environment id."""
     policies: tuple[str, ...] | None = None
     """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; default all the
-    environment offers, except the oracle, which looks at the truth."""
+    environment offers, `pretrained` where it can fly, and not the oracle, which looks at the truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
