@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, reproduce, curves, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, pack, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Evaluate:
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
     policies: tuple[str, ...] | None = None
-    """Policy names (see `passive-env list`) and run folders made by train; default all the environment offers, except
-    the oracle, which looks at the truth."""
+    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; default all the
+    environment offers, `pretrained` where it can fly, and not the oracle, which looks at the truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
@@ -99,6 +99,23 @@ class Leaderboard:
     """Scenario keywords of all environments named: NAME=VALUE …"""
     out: Path = Path("leaderboard")
     """Folder of the results and of the cells kept."""
+
+
+@dataclass(frozen=True)
+class Pack:
+    """Pack a run's policy into one file without code, with a model card (.md) and the figures it reached (.json)."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run folder made by train."""
+    out: Path
+    """FILE.npz."""
+    evaluation: Path | None = None
+    """evaluation.json of this run beside rules, for the card; default: fly one now, of the rules and the greedy
+    policy."""
+    episodes: int = 1000
+    """Episodes of that evaluation."""
+    seed: int = 90_000_000
+    """Its first episode's seed, and the record's."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +164,8 @@ class List:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
     commands = {
-        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "reproduce": Reproduce, "curves": Curves,
-        "benchmark": Benchmark, "list": List,
+        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack,
+        "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
     }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
@@ -161,8 +178,8 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 def _guarded(command: Any) -> int:
     runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Reproduce: _reproduce, Curves: _curves,
-        Benchmark: _benchmark, List: _list,
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack,
+        Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
     }  # fmt: skip
     try:
         status = runners[type(command)](command)
@@ -194,6 +211,13 @@ def _leaderboard(c: Leaderboard) -> None:
         c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.out,
         parse_fields(c.fields),
     )  # fmt: skip
+
+
+def _pack(c: Pack) -> None:
+    from agents.pack import pack
+
+    record = pack(c.run, c.out, c.evaluation, c.episodes, c.seed)
+    print(f"{c.out}: {record['bytes']} bytes\n\n{c.out.with_suffix('.md').read_text(encoding='utf-8')}")
 
 
 def _reproduce(c: Reproduce) -> int:
@@ -237,12 +261,18 @@ def _benchmark(c: Benchmark) -> None:
 def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
+    from agents.pretrained import PRETRAINED, pretrained_ids
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
     from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
+    trained = {environment: [PRETRAINED] for environment in pretrained_ids()}
+    offered = {
+        environment_id(name): policy_names(scenario) + trained.get(environment_id(name), [])
+        for name, scenario in SCENARIOS.items()
+    }
     for title, names in (
         ("environments", environment_ids()),
-        *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
+        *((f"policies of {environment}", names) for environment, names in offered.items()),
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),

@@ -475,6 +475,15 @@ def _ratios(flown: Outcomes, base: Outcomes) -> dict[str, Any]:
     return ratios
 
 
+def mean_interval(values: np.ndarray, seed: int = 0) -> list[float]:
+    """Percentile bootstrap 95 % interval [low, high] of a sample's mean; values [e], seed of the resampling."""
+    if len(values) < 2:
+        return [float(values.mean())] * 2
+    draws = np.random.default_rng(seed).multinomial(len(values), np.full(len(values), 1.0 / len(values)), RESAMPLES)
+    low, high = np.percentile(draws @ values / len(values), [2.5, 97.5])
+    return [float(low), float(high)]
+
+
 def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[str, Any]:
     """Ratio of two paired samples' means with a percentile bootstrap 95 % interval.
 
