@@ -84,7 +84,7 @@ class Leaderboard:
     policies: tuple[str, ...] = ()
     """Policy names (see `passive-env list`); default all that an environment offers, the oracle included."""
     runs: tuple[str, ...] = ()
-    """Learned policies besides: ENV=DIR …, run folders made by train."""
+    """Learned policies besides the pretrained ones: ENV=RUN …, run folders made by train or files made by pack."""
     episodes: int = 500
     """Paired episodes of every cell."""
     seed: int = 90_000_000

@@ -17,14 +17,15 @@ from agents import cli
 from agents.evaluation import Outcomes, fly, ratio_of_means
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
-from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies
+from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies, unfit
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
 from agents.leaderboard.report import as_csv, as_markdown
 from agents.leaderboard.standings import interval, resample, standing, verdict
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
 from agents.policy import make_policy, policy_names
-from passive_env.catalogue import SCENARIOS, environment_ids, make_scenario
+from agents.pretrained import load_pretrained, pretrained_ids
+from passive_env.catalogue import SCENARIOS, environment_id, environment_ids, make_scenario
 from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
@@ -54,7 +55,7 @@ def flights_of(monkeypatch):
     return names
 
 
-def model_stand_in(environment, folders):
+def model_stand_in(environment, runs):
     """A "learned" policy that is a rule in truth, and cannot fly one of the trackers."""
 
     def make(scenario):
@@ -173,6 +174,20 @@ def test_nothing_is_flown_twice_and_the_result_is_the_same(tmp_path, flights_of)
     assert again["about"]["cells"] == {"kept": 3}
     assert again["sections"] == first["sections"]
     assert {path: path.read_bytes() for path in tmp_path.rglob("*.npz")} == files
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_pretrained_policies_take_part_where_there_are_any(name):
+    """Each as one more policy, told apart by its file."""
+    environment = environment_id(name)
+    found = contestants.learned_policies(environment, [])
+    assert [one.name for one in found] == ["pretrained"] * (environment in pretrained_ids())
+    for one in found:
+        assert (one.kind, len(one.identity)) == ("learned", 64)
+        assert unfit(one, SCENARIOS[name]) == ""
+        assert chosen(found, ("rule",)) == []
+        mine = fly(SCENARIOS[name], one.make(SCENARIOS[name]), 2, SEED).final
+        np.testing.assert_array_equal(mine, fly(SCENARIOS[name], load_pretrained(environment), 2, SEED).final)
 
 
 def test_quick_policies_are_flown_first(tmp_path, flights_of):
@@ -720,8 +735,8 @@ def test_command_writes_prints_and_goes_on(tmp_path, capsys):
         (["--episodes", "1"], ["--episodes 1", "at least 2"]),
         (["--episodes", "-4"], ["--episodes -4"]),
         (["--seed", "-1"], ["--seed -1"]),
-        (["--runs", "runs/x"], ["--runs 'runs/x'", "ENV=DIR"]),
-        (["--runs", "Ownship="], ["--runs 'Ownship='", "ENV=DIR"]),
+        (["--runs", "runs/x"], ["--runs 'runs/x'", "ENV=RUN"]),
+        (["--runs", "Ownship="], ["--runs 'Ownship='", "ENV=RUN"]),
         (["--runs", "Nowhere=runs/x"], ["'Nowhere'", "passive/Ownship-v0"]),
         (["--envs", "TwoStation", "--runs", "Ownship=runs/x"], ["passive/Ownship-v0 takes no part", "--envs"]),
         (["--runs", "Ownship=no/such/run"], ["no/such/run", "config.json"]),

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from agents.files import make_folder
 from agents.leaderboard.cells import Cell, code_digest, fly_cells
 from agents.leaderboard.contestants import (
+    KINDS,
     Contestant,
     check_names,
     chosen,
@@ -126,7 +127,8 @@ def _plan(
 
 
 def _everybody(env: str, fields: dict[str, Any], folders: Sequence[str]) -> list[Contestant]:
-    return [*known_policies(make_scenario(env, fields)), *learned_policies(env, folders)]
+    field = [*known_policies(make_scenario(env, fields)), *learned_policies(env, folders)]
+    return sorted(field, key=lambda one: KINDS.index(one.kind))
 
 
 def _table(section: str, env: str, title: str, scenario: Any, field: Sequence[Contestant]) -> Table:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation import unique_names
-from agents.learned import CONFIG, MODEL, LearnedPolicy, read_config
+from agents.learned import CONFIG, MODEL, open_policy
+from agents.packed import SUFFIX, is_packed
 from agents.policy import Policy, make_policy, policy_names
+from agents.pretrained import PRETRAINED, card, load_pretrained, pretrained_ids
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -28,7 +30,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
         "hold10", "timed", "timed10",
     ),
     "planner": ("planner", "optimizer"),
-    "learned": ("pretrained",),
+    "learned": (PRETRAINED,),
     "oracle": ("oracle", "hindsight"),
 }  # fmt: skip
 KINDS = tuple(_NAMES)
@@ -41,7 +43,7 @@ KIND_OF: dict[str, str] = {name: kind for kind, names in _NAMES.items() for name
 
 ESSENTIAL = (
     "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "timed", "hysteresis", "timed10", "pursuit",
-    "timed_pursuit", "pretrained",
+    "timed_pursuit",
 )  # fmt: skip
 """Policies flown beside the reference geometry and learned ones where not the policies but the trackers, or the
 circumstances, are compared."""
@@ -80,33 +82,41 @@ def known_policies(scenario: Any) -> list[Contestant]:
 def _known(name: str, scenario: Any) -> Contestant:
     if name not in KIND_OF:
         raise ValueError(f"policy {name!r} has no kind: name it in {__name__}, one of {', '.join(KINDS)}")
-    kind = KIND_OF[name]
-    identity = getattr(make_policy(name, scenario), "identity", "") if kind == "learned" else ""
-    return Contestant(name, kind, lambda chosen: make_policy(name, chosen), identity)
+    return Contestant(name, KIND_OF[name], lambda chosen: make_policy(name, chosen))
 
 
-def learned_policies(environment: str, folders: Sequence[str | Path]) -> list[Contestant]:
-    """The models of run folders: learned, learned_2, …
+def learned_policies(environment: str, runs: Sequence[str | Path]) -> list[Contestant]:
+    """The policy that comes with the package, if one does, and those of runs or packed files: learned, learned_2, …
 
     Raises:
-        FileNotFoundError, ValueError: no run folder, or a model of another environment or other observations.
+        FileNotFoundError, ValueError: no run folder or packed file, or a model of another environment.
     """
-    names = unique_names(["learned"] * len(folders))
-    return [_learned(name, Path(folder), environment) for name, folder in zip(names, folders, strict=True)]
+    names = unique_names(["learned"] * len(runs))
+    found = [_pretrained(environment)] if environment in pretrained_ids() else []
+    return found + [_learned(name, Path(run), environment) for name, run in zip(names, runs, strict=True)]
 
 
-def _learned(name: str, folder: Path, environment: str) -> Contestant:
+def _pretrained(environment: str) -> Contestant:
+    identity = _digest(card(environment).with_suffix(SUFFIX))
+    return Contestant(PRETRAINED, "learned", lambda scenario: load_pretrained(environment, scenario), identity)
+
+
+def _learned(name: str, run: Path, environment: str) -> Contestant:
     def make(scenario: Any) -> Policy:
-        return LearnedPolicy(folder, environment, scenario.make_simulation())
+        return open_policy(run, environment, scenario.make_simulation())
 
-    read_config(folder)
-    make(make_scenario(environment, {}))  # a bad folder must fail before anything is flown
-    digest = hashlib.sha256((folder / CONFIG).read_bytes() + (folder / MODEL).read_bytes()).hexdigest()
-    return Contestant(name, "learned", make, digest)
+    make(make_scenario(environment, {}))  # a bad one must fail before anything is flown
+    files = [run] if is_packed(run) else [run / CONFIG, run / MODEL]
+    return Contestant(name, "learned", make, _digest(*files))
+
+
+def _digest(*files: Path) -> str:
+    """Fingerprint of what a model was loaded from."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def run_folders(texts: Sequence[str], environments: Sequence[str]) -> dict[str, list[str]]:
-    """Run folders per environment id, from ``ENV=DIR`` as on a command line.
+    """Run folders and packed files per environment id, from ``ENV=RUN`` as on a command line.
 
     Raises:
         ValueError: no equals sign, an unknown environment, or one that takes no part.
@@ -115,7 +125,7 @@ def run_folders(texts: Sequence[str], environments: Sequence[str]) -> dict[str, 
     for text in texts:
         name, equals, folder = text.partition("=")
         if not (equals and name and folder):
-            raise ValueError(f"--runs {text!r}: must be an environment and its run folder, ENV=DIR")
+            raise ValueError(f"--runs {text!r}: must be an environment and its run folder or packed file, ENV=RUN")
         environment = environment_id(scenario_name(name))
         if environment not in environments:
             raise ValueError(f"--runs {text!r}: {environment} takes no part; name it after --envs")
@@ -124,7 +134,7 @@ def run_folders(texts: Sequence[str], environments: Sequence[str]) -> dict[str, 
 
 
 def chosen(field: Sequence[Contestant], names: Sequence[str]) -> list[Contestant]:
-    """Those of these names; all where none is named. What was given as a run folder always takes part."""
+    """Those of these names; all where none is named. What was given as a run always takes part."""
     return [one for one in field if not names or one.name in names or one.name not in KIND_OF]
 
 
