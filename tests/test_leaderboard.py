@@ -135,9 +135,9 @@ def test_run_folders_are_flown_as_the_models_they_hold(tmp_path):
     direct = fly(SHORT, LearnedPolicy(folder, "passive/TwoStation-v0", SHORT.make_simulation()), EPISODES, SEED)
     assert entry["policies"]["learned"]["final_range_error_m"]["mean"] == direct.final.mean()
     (config,) = folder.glob("config.json")
-    before = contestants.learned_policies("passive/TwoStation-v0", [folder])[0].identity
+    before = contestants.learned_policies("passive/TwoStation-v0", [folder])[-1].identity
     config.write_text(config.read_text() + "\n")
-    assert contestants.learned_policies("passive/TwoStation-v0", [folder])[0].identity != before
+    assert contestants.learned_policies("passive/TwoStation-v0", [folder])[-1].identity != before
 
 
 # ------------------------------------------------------------------------------------------------ cells on disk

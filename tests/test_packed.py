@@ -8,20 +8,20 @@ import os
 import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from agents.actor import plain_actor
-from agents.algorithms import ALGORITHMS
 from agents.cli import main
 from agents.learned import LearnedPolicy, PackedPolicy, open_policy
 from agents.networks import describe, rebuild
 from agents.pack import Both, pack
 from agents.packed import LARGEST, MOST_BYTES, MOST_MEMBERS, read_packed, write_packed
 from agents.sb3 import Sb3VecEnv
-from agents.training import TRAINING, new_model, plan, train, training_seconds
+from agents.training import TRAINING, _flown, new_model, plan, train, training_seconds
 from agents.transmitter_network import NETWORK
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue import environment_id, make_scenario
@@ -32,7 +32,7 @@ KINDS = {
     "relu, squashed": ("TwoStation", "sac", {}),
     "shared, combinations": ("PassiveRadar", "ppo", {}),
     "shared, scores": ("PassiveRadar", "ppo", {"actions": "continuous"}),
-    "shared, with turns": ("MobileReceiver", "ppo", {}),
+    "shared, with courses": ("MobileReceiver", "ppo", {}),
 }
 """Network kinds: scenario, algorithm, fields given."""
 
@@ -45,20 +45,15 @@ def model_of(kind: str, tmp_path: Path):
     run = plan(name, tmp_path, algo, envs=2, timesteps=1, fields=fields)
     run.preset.pop("imitation", None)
     env = Sb3VecEnv(PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step"), run.asymmetric)
-    model = plain_ppo(run) if run.asymmetric else new_model(run, env)
+    model: Any = _flown(new_model(run, env))
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
         for parameter in model.policy.parameters():
             if parameter.ndim == 2:
                 parameter.normal_(std=parameter.shape[1] ** -0.5, generator=generator)
+            else:
+                parameter.normal_(std=0.1, generator=generator)
     return model, run.training_scenario.make_simulation()
-
-
-def plain_ppo(run):
-    """What is left of an asymmetric model to fly."""
-    env = Sb3VecEnv(PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step"))
-    settings = {"net_arch": run.preset["net_arch"]}
-    return ALGORITHMS["ppo"].learner("MlpPolicy", env, seed=1, device="cpu", policy_kwargs=settings)
 
 
 def described(kind: str, tmp_path: Path):
