@@ -18,20 +18,17 @@ import numpy as np
 from agents.policy import Policy
 from agents.radar_policies import Selection
 from passive_env.blockage import blocked_next, predict_blocked, update_blocked
-from passive_env.radar_promise import BLOCK, absorb_sum, criterion_of, lay_out, straight_on
+from passive_env.radar_promise import BLOCK, criterion_of, lay_out, straight_on
 from passive_env.radar_sensors import RadarBelief
 from trackers.axis_motion import add_axis_noise, move_axes
 from trackers.compiled import Blocks, helper, kernel
+from trackers.range_sum import absorb_sum, sum_spread
 
 
 @helper
 def _worth(P, row, var, blocked, d):
     """Variance of a range sum that the track leaves, in units of the noise, times the chance to hear it."""
-    spread = 0.0
-    for a in range(d):
-        for b in range(d):
-            spread += row[a] * P[a, b] * row[b]
-    return (1.0 - blocked) * spread / var
+    return (1.0 - blocked) * sum_spread(P, row, d) / var
 
 
 @helper

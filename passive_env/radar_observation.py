@@ -12,6 +12,7 @@ from gymnasium import spaces
 from passive_env.observations import LIMIT, Field, clip_value
 from passive_env.radar_sensors import RadarBelief, distance
 from trackers.compiled import helper, kernel
+from trackers.range_sum import sum_spread
 
 AXES = {2: ("radial", "cross"), 3: ("radial", "cross", "up")}
 """Of a track's covariance: level along the line of sight from the receiver, level to its left, and up."""
@@ -54,16 +55,6 @@ def _write_covariance(P, a, b, d, frame, out, i):
 
 
 @helper
-def _predicted_std(P, h, d):
-    """Standard deviation of a range sum of slope h [d] that the track's covariance leaves."""
-    variance = 0.0
-    for j in range(d):
-        for k in range(d):
-            variance += h[j] * P[j, k] * h[k]
-    return math.sqrt(max(variance, 1e-6))
-
-
-@helper
 def _write_track(x, P, receiver, a, b, r, statistic, maneuver, frame, out, i):
     """Range, velocities, height, covariance and maneuver test of the track, along the level line of sight (a, b)."""
     d = receiver.shape[0]
@@ -93,7 +84,7 @@ def _write_site(x, P, site, std, sight, h, a, b, out, i):
         i += 1
     for j in range(d):
         h[j] += sight[j]
-    out[i] = math.log(_predicted_std(P, h, d) / std) / 2.0
+    out[i] = math.log(math.sqrt(max(sum_spread(P, h, d), 1e-6)) / std) / 2.0
     return i + 1
 
 

@@ -22,7 +22,7 @@ from passive_env.radar_sensors import RadarBelief, distance, sum_std
 from passive_env.renewal import Renewal
 from trackers.axis_motion import add_axis_noise, move_axes
 from trackers.compiled import Blocks, helper, kernel
-from trackers.range_sum import range_sum_row
+from trackers.range_sum import absorb_sum, range_sum_row
 
 CRITERIA_SUMS = ("position_std", "log_position_std", "position_variance")
 """What is averaged over scans and cases: √tr C of the position's covariance C, its logarithm, tr C."""
@@ -50,23 +50,6 @@ class Outlook(NamedTuple):
 
 
 # -- the kernels -------------------------------------------------------------------------------------------------------
-
-
-@helper
-def absorb_sum(P, row, var, column, d, size):
-    """Condition the first `size` rows and columns of P [2d, 2d] on a range sum of slope row [d], in place."""
-    S = 0.0
-    for a in range(size):
-        column[a] = 0.0
-        for b in range(d):
-            column[a] += P[a, b] * row[b]
-    for a in range(d):
-        S += row[a] * column[a]
-    S = max(S, 0.0) * (1.0 + 1e-12) + var
-    for a in range(size):
-        for b in range(a + 1):
-            P[a, b] -= column[a] * column[b] / S
-            P[b, a] = P[a, b]
 
 
 @helper

@@ -29,7 +29,7 @@ SINGULAR = 1e-9
 """Distance of a site, in units of the largest, from the span of the others at which no line follows."""
 
 DECISIVE = 9.0
-"""Difference of two roots' χ² misfits from which on the fit decides, not the side."""
+"""Difference of two roots' χ² misfits, each after the best small move, from which on the fit decides, not the side."""
 
 IMPOSSIBLE = 1e300
 """Misfit of a root that is none."""
@@ -47,15 +47,18 @@ class Intersections(NamedTuple):
     valid: Any
 
 
-def intersect(range_sums, transmitters, receiver) -> Intersections:
+def intersect(range_sums, transmitters, receiver, floor_m: float = -math.inf) -> Intersections:
     """Points with range sums [..., d] m to transmitters [..., d, d] m and a receiver [..., d] m.
 
-    Sums that no point has (shorter than the baseline, ellipses that miss each other) leave roots that are not valid.
+    Sums that no point has (shorter than the baseline, ellipses that miss each other) leave roots that are not valid,
+    and so are, in space, roots below `floor_m`, the height of the ground.
 
     Raises:
         ValueError: shapes that do not belong together, entries that are not finite, coincident transmitters or, in
-            space, collinear sites.
+            space, collinear sites, a floor that is no number.
     """
+    if not floor_m < math.inf:
+        raise ValueError(f"intersect: floor_m = {floor_m!r}: must be a height [m], or -inf for no ground")
     sums, sites, site = (np.asarray(part, dtype=float) for part in (range_sums, transmitters, receiver))
     d = site.shape[-1] if site.ndim else 0
     if d not in (2, 3) or sums.shape[-1:] != (d,) or sites.shape[-2:] != (d, d):
@@ -64,12 +67,30 @@ def intersect(range_sums, transmitters, receiver) -> Intersections:
     for name, part in (("range_sums", sums), ("transmitters", sites), ("receiver", site)):
         if not np.isfinite(part).all():
             raise ValueError(f"intersect: {name} must be finite")
-    first, second, good, also, singular = _intersect(sums, sites, site)
+    roots, singular = _both_roots(sums, sites, site)
     if np.any(singular):
         at = tuple(int(i) for i in np.argwhere(singular)[0])
         words = "coincide" if d == 2 else "coincide or lie on one line with the receiver"
         raise ValueError(f"intersect: transmitters{list(at) or ''} {words}: their range sums fix no point")
-    return Intersections(np.stack([first, second], axis=-2), np.stack([good, also], axis=-1))
+    return above_ground(roots, floor_m)
+
+
+def solutions(range_sums, transmitters, receiver) -> Intersections:
+    """As `intersect`, for what has been checked before: sites that fix no point leave no valid root."""
+    return _both_roots(range_sums, transmitters, receiver)[0]
+
+
+def above_ground(roots: Intersections, floor_m: float) -> Intersections:
+    """The roots with those below the ground, in space, marked as not valid and set to 0."""
+    if roots.position.shape[-1] == 2:
+        return roots
+    valid = roots.valid & (roots.position[..., 2] >= floor_m)
+    return Intersections(np.where(valid[..., None], roots.position, 0.0), valid)
+
+
+def _both_roots(sums, sites, site) -> tuple[Intersections, Any]:
+    first, second, good, also, singular = _intersect(sums, sites, site)
+    return Intersections(np.stack([first, second], axis=-2), np.stack([good, also], axis=-1)), singular
 
 
 def branch(position, transmitters, receiver):
@@ -92,11 +113,26 @@ def pick_root(roots: Intersections, scan, side):
         index [...] of the root, 0 or 1, and whether there is one [...].
     """
     sums, valid, transmitters, receiver, std = map(np.asarray, scan)
-    told = range_sum(roots.position, receiver[..., None, :], transmitters[..., None, :, :])
-    miss = np.where(valid, 1.0 / std, 0.0)[..., None, :] * (told - sums[..., None, :])
-    misfit = np.where(roots.valid, np.square(miss).sum(-1), IMPOSSIBLE)
+    sites, site = transmitters[..., None, :, :], receiver[..., None, :]
+    weight = np.where(valid, 1.0 / std, 0.0)[..., None, :]
+    miss = weight * (range_sum(roots.position, site, sites) - sums[..., None, :])
+    H = weight[..., None] * range_sum_jacobian(roots.position, site, sites)
+    misfit = np.where(roots.valid, _left_over(miss, H), IMPOSSIBLE)
     undecided = np.abs(misfit[..., 1] - misfit[..., 0]) < DECISIVE
     return np.where(undecided, np.where(np.asarray(side) >= 0.0, 0, 1), misfit.argmin(-1)), roots.valid.any(-1)
+
+
+def _left_over(miss, H):
+    """Squared length [...] of misses [..., n] that no small move of slopes H [..., n, d] takes away.
+
+    A root is as uncertain as the sums it comes from, more so where they hardly cross: what its move explains is no
+    reason against it.
+    """
+    g = np.einsum("...ni,...n->...i", H, miss)
+    N = np.swapaxes(H, -1, -2) @ H
+    N = N + (1e-12 * np.trace(N, axis1=-2, axis2=-1) + 1e-300)[..., None, None] * np.eye(H.shape[-1])
+    explained = (g * np.linalg.solve(N, g[..., None])[..., 0]).sum(-1)
+    return np.maximum(np.square(miss).sum(-1) - explained, 0.0)
 
 
 @helper

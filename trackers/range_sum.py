@@ -52,6 +52,33 @@ def _unit(line):
     return line / np.sqrt(np.maximum(np.square(line).sum(-1, keepdims=True), MIN_RANGE_SQUARED))
 
 
+def check_std(name: str, std) -> None:
+    """Refuse standard deviations [...] m that are not positive and finite.
+
+    Raises:
+        ValueError: says which entry of `name` it is.
+    """
+    std = np.asarray(std)
+    good = (std > 0.0) & (std < np.inf)
+    if not good.all():
+        at = tuple(int(i) for i in np.argwhere(~good)[0])
+        raise ValueError(f"{name}{list(at) or ''} is {std[at]}: must be positive and finite [m]")
+
+
+def each_sum(name: str, values, count: int) -> np.ndarray:
+    """Numbers [..., n], one for each of `count` range sums, of as many or of one for all.
+
+    Raises:
+        ValueError: another length.
+    """
+    values = np.asarray(values, dtype=float)
+    if values.ndim == 0:
+        return np.full(count, float(values))
+    if values.shape[-1] != count:
+        raise ValueError(f"{name} {values.shape}: must be [..., {count}], one for each range sum, or one number")
+    return values
+
+
 def dilution(jacobian, std) -> Dilution:
     """What one scan fixes: C = (Σᵢ HᵢᵀHᵢ / σᵢ²)⁻¹.
 
@@ -60,9 +87,12 @@ def dilution(jacobian, std) -> Dilution:
         std: [..., n] m or one number.
     Returns:
         `Dilution`; inf where the information's condition number is above 10¹².
+    Raises:
+        ValueError: standard deviations that are not positive and finite, or of another length.
     Source: Xu and Wang (2009), eqs 2 and 3.
     """
-    H = np.asarray(jacobian) / np.broadcast_to(std, np.shape(jacobian)[:-1])[..., None]
+    check_std("dilution: std", std)
+    H = np.asarray(jacobian) / each_sum("dilution: std", std, np.shape(jacobian)[-2])[..., None]
     spread, axes = np.linalg.eigh(np.swapaxes(H, -1, -2) @ H)
     fixed = spread[..., 0] > 1e-12 * spread[..., -1]
     variance = (np.square(axes) / np.where(fixed[..., None], spread, 1.0)[..., None, :]).sum(-1)
@@ -85,22 +115,48 @@ def range_sum_row(p, site, other, row, d):
 
 
 @helper
-def whitened_row_gain(P, row, var, column, d):
-    """Fill column [2d] = P hᵀ / √S of row h [d] over position and noise variance `var`; returns √S and h P hᵀ.
+def sum_spread(P, row, d):
+    """Variance h P hᵀ [m²] of a range sum of slope h [d] that a track of covariance P leaves; never negative."""
+    spread = 0.0
+    for i in range(d):
+        for j in range(d):
+            spread += row[i] * P[i, j] * row[j]
+    return max(spread, 0.0)
 
-    The noise counts at least as a tiny share of h P hᵀ, so that P − column columnᵀ stays positive definite.
-    """
-    for i in range(2 * d):
+
+@helper
+def _whitened_gain(P, row, var, column, d, size):
+    """The first `size` rows of `whitened_row_gain`."""
+    for i in range(size):
         column[i] = 0.0
         for j in range(d):
             column[i] += P[i, j] * row[j]
     spread = 0.0
     for j in range(d):
         spread += row[j] * column[j]
-    root = math.sqrt(spread + max(var, NOISE_FLOOR * spread))
-    for i in range(2 * d):
+    root = math.sqrt(max(spread, 0.0) + max(var, NOISE_FLOOR * spread))
+    for i in range(size):
         column[i] /= root
     return root, spread
+
+
+@helper
+def whitened_row_gain(P, row, var, column, d):
+    """Fill column [2d] = P hᵀ / √S of row h [d] over position and noise variance `var`; returns √S and h P hᵀ.
+
+    The noise counts at least as a tiny share of h P hᵀ, so that P − column columnᵀ stays positive definite.
+    """
+    return _whitened_gain(P, row, var, column, d, 2 * d)
+
+
+@helper
+def absorb_sum(P, row, var, column, d, size):
+    """Condition the first `size` rows and columns of P [2d, 2d] on a range sum of slope row [d], in place.
+
+    column [≥size] is scratch.
+    """
+    _whitened_gain(P, row, var, column, d, size)
+    absorb_column(P, column, size)
 
 
 @helper

@@ -18,7 +18,7 @@ from trackers.axis_motion import add_axis_noise, axis_noise, axis_transition, mo
 from trackers.compiled import kernel
 from trackers.linalg import psd_inverse
 from trackers.position_update import copy_gaussian
-from trackers.range_sum import absorb_column, range_sum_jacobian, range_sum_row, whitened_row_gain
+from trackers.range_sum import absorb_sum, check_std, each_sum, range_sum_jacobian, range_sum_row
 
 
 class PositionStd(NamedTuple):
@@ -46,8 +46,7 @@ def _advance(P, truth, transmitters, receiver, std, share, T, w, P_out):
     for i in range(transmitters.shape[0]):
         if share[i] > 0.0:
             range_sum_row(truth, receiver, transmitters[i], row, d)
-            whitened_row_gain(P_out, row, std[i] * std[i] / share[i], column, d)
-            absorb_column(P_out, column, 2 * d)
+            absorb_sum(P_out, row, std[i] * std[i] / share[i], column, d, 2 * d)
 
 
 def advance(cov, truth, transmitters, receiver, std, step_s, acceleration_var, share: Any = 1.0):
@@ -57,13 +56,13 @@ def advance(cov, truth, transmitters, receiver, std, step_s, acceleration_var, s
         cov: [..., 2d, 2d] bound before the step; a step of 0 s adds a scan only.
         truth: [..., 2d] true state after it.
         transmitters: [..., n, d] m; receiver: [..., d] m after it.
-        std: [..., n] m.
+        std: [..., n] m or one number.
         step_s: T [s]; acceleration_var: w [3] (m/s²)², the last without meaning in the plane.
         share: of scans in which a transmitter is heard, [..., n] or one number; bool masks work too.
     Returns:
         [..., 2d, 2d].
     Raises:
-        ValueError: axes that do not belong together.
+        ValueError: axes that do not belong together, standard deviations that are not positive and finite.
     """
     d, n = np.shape(receiver)[-1], np.shape(transmitters)[-2]
     if np.shape(truth)[-1] != 2 * d or d not in (2, 3) or np.shape(acceleration_var) != (3,):
@@ -71,8 +70,8 @@ def advance(cov, truth, transmitters, receiver, std, step_s, acceleration_var, s
             f"truth {np.shape(truth)}, receiver {np.shape(receiver)}, acceleration_var {np.shape(acceleration_var)}"
         )
         raise ValueError(f"advance: {shapes}: must be [..., 2d], [..., d] and [3], d = 2 or 3")
-    shares = np.asarray(share, dtype=float)
-    shares = np.full(n, float(shares)) if shares.ndim == 0 else shares
+    check_std("advance: std", std)
+    std, shares = each_sum("advance: std", std, n), each_sum("advance: share", share, n)
     return _advance(cov, truth, transmitters, receiver, std, shares, step_s, acceleration_var)
 
 
@@ -85,14 +84,18 @@ def posterior_bound(truth, transmitters, receiver, prior_cov, std, step_s, accel
         prior_cov: [..., 2d, 2d]; std: [n] m or one number; share: as in `advance`, [n] or one number.
     Returns:
         covariance bounds [..., k + 1, 2d, 2d].
+    Raises:
+        ValueError: standard deviations that are not positive and finite, or of another length.
     """
-    truth = np.asarray(truth)
+    truth, n = np.asarray(truth), np.shape(transmitters)[-2]
+    check_std("posterior_bound: std", std)
+    std, share = each_sum("posterior_bound: std", std, n), each_sum("posterior_bound: share", share, n)
     d = truth.shape[-1] // 2
     A, Q = axis_transition(step_s, d), axis_noise(step_s, np.asarray(acceleration_var)[:d])
     H = range_sum_jacobian(
         truth[..., :d], np.asarray(receiver)[..., None, :], np.asarray(transmitters)[..., None, :, :]
     )
-    weight = np.broadcast_to(np.asarray(share) / np.square(std), H.shape[:-1])
+    weight = np.broadcast_to(share / np.square(std), H.shape[:-1])
     told = np.einsum("...n,...ni,...nj->...ij", weight, H, H)
     covs, prior = [], np.broadcast_to(prior_cov, (*truth.shape[:-2], 2 * d, 2 * d))
     for k in range(truth.shape[-2]):

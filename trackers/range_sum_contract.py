@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from trackers.gaussian import Gaussian
+from trackers.range_sum import check_std
 
 
 class RangeSumScan(NamedTuple):
@@ -36,22 +37,32 @@ class RangeSumScan(NamedTuple):
 
         Raises:
             ValueError: shapes that do not belong together, entries that are not finite, a standard deviation that is
-                not positive and finite.
+                not positive and finite, a mask that is neither True nor False.
         """
-        sums, sites, receiver = (np.shape(part) for part in (self.range_sums, self.transmitters, self.receiver))
+        sums, valid, sites, receiver, std = map(np.shape, self)
         if not (sites and sites[-1] in (2, 3) and receiver[-1:] == sites[-1:] and sites[-2:-1] == sums[-1:]):
             shapes = f"range_sums {sums}, transmitters {sites}, receiver {receiver}"
             raise ValueError(f"scan: {shapes}: must be [..., n], [..., n, d] and [..., d] with d = 2 or 3")
+        for name, shape in (("valid", valid), ("std", std)):
+            if shape[-1:] != sums[-1:]:
+                raise ValueError(
+                    f"scan.{name} {shape}: must be [..., {sums[-1]}], one for each of the range sums {sums}"
+                )
+        try:
+            np.broadcast_shapes(sums[:-1], valid[:-1], sites[:-2], receiver[:-1], std[:-1])
+        except ValueError as error:
+            shapes = ", ".join(f"{name} {np.shape(part)}" for name, part in zip(self._fields, self, strict=True))
+            raise ValueError(f"scan: {shapes}: the leading axes must broadcast") from error
+        mask = np.asarray(self.valid)
+        if mask.dtype != bool and not ((mask == 0) | (mask == 1)).all():
+            at = tuple(int(i) for i in np.argwhere(~((mask == 0) | (mask == 1)))[0])
+            raise ValueError(f"scan.valid{list(at)} is {mask[at]}: must be True or False")
         for name in ("range_sums", "transmitters", "receiver"):
             part = np.asarray(getattr(self, name))
             if not np.isfinite(part).all():
                 at = tuple(int(i) for i in np.argwhere(~np.isfinite(part))[0])
                 raise ValueError(f"scan.{name}{list(at)} is {part[at]}: must be finite (0 where an echo is missing)")
-        std = np.asarray(self.std)
-        good = (std > 0.0) & (std < np.inf)
-        if not good.all():
-            at = tuple(int(i) for i in np.argwhere(~good)[0])
-            raise ValueError(f"scan.std{list(at)} is {std[at]}: must be positive and finite [m]")
+        check_std("scan.std", self.std)
 
 
 class RangeSumTrack(NamedTuple):

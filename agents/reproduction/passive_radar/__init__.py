@@ -109,7 +109,7 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
     true_guess = gaussian(PAIR_GUESSES["true"], PAIR_PRIOR_STD)
     rng = np.random.default_rng([*seeds, 1])
     return Trials(
-        straight={(name, way): record for name in LAYOUTS for way, record in _straight_records(name, straight).items()},
+        straight={(name, way): record for name in LAYOUTS for way, record in straight_records[name].items()},
         burning={(name, n): follow(_testing(n), LAYOUTS[name], burning, PRIOR) for name in LAYOUTS for n in _TESTS},
         wording={
             (name, n): follow_wording(_testing(n), LAYOUTS[name], burning, PRIOR)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from passive_env.catalogue.passive_radar import PAPER_GUESS, PAPER_SITES_M, PAPER_TARGET
 from trackers import Gaussian, RangeSumEkf, RangeSumEkfLiteral, RangeSumScan, RangeSumTrack
 from trackers.axis_motion import axis_noise
 from trackers.range_sum import range_sum
@@ -41,18 +42,20 @@ class Sites(NamedTuple):
         return Sites(self.receiver[:2], self.transmitters[:count, :2])
 
 
-POOR = Sites(np.zeros(3), 1e3 * np.array([[-32.0, -33.0, 0.05], [0.0, -45.0, 0.06], [-10.0, -90.0, 0.1]]))
-GOOD = Sites(
-    1e3 * np.array([-36.0, 0.0, 0.1]), 1e3 * np.array([[-108.0, -124.7, 0.0], [-108.0, 124.7, 0.0], [108.0, 0.0, 0.0]])
-)
-"""The equilateral triangle the paper's section 3.2 means; it prints T₁ = T₂."""
+def _paper_sites(name: str) -> Sites:
+    points = np.array(PAPER_SITES_M[name])
+    return Sites(points[0], points[1:])
+
+
+POOR, GOOD = _paper_sites("paper_poor"), _paper_sites("paper_good")
+"""The second: the equilateral triangle the paper's section 3.2 means; it prints T₁ = T₂."""
 
 PAIR = POOR.in_plane(2)
 """Section 3.4: the first two transmitters, in the plane."""
 
-TARGET = np.array([-100e3, 150e3, 10e3, 200.0, -100.0, 0.0])
+TARGET = np.array(PAPER_TARGET)
 PAIR_TARGET = np.array([5e3, 5e3, 100.0, 200.0])
-GUESS = np.array([-80e3, 130e3, 8e3, 0.0, 0.0, 0.0])
+GUESS = np.array(PAPER_GUESS)
 PRIOR_STD = np.array([20e3, 20e3, 3e3, 200.0, 200.0, 10.0])
 """What an operator knows, m and m/s: specification, section 4."""
 
