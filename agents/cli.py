@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, reproduce, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, pack, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Evaluate:
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
     policies: tuple[str, ...] | None = None
-    """Policy names (see `passive-env list`) and run folders made by train; default all the environment offers, except
-    the oracle, which looks at the truth."""
+    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; default all the
+    environment offers, `pretrained` where it can fly, and not the oracle, which looks at the truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
@@ -72,19 +72,78 @@ class Evaluate:
 
 
 @dataclass(frozen=True)
+class Leaderboard:
+    """Compare all policies in all environments, on drawn courses and held-out recorded flights.
+
+    Finished cells (a policy in a scenario) are kept in --out and used again where nothing that decides them has
+    changed, so an interrupted run goes on where it was. Writes leaderboard.json, .csv, .md and .png.
+    """
+
+    envs: tuple[str, ...] = ()
+    """Environment ids; default all."""
+    policies: tuple[str, ...] = ()
+    """Policy names (see `passive-env list`); default all that an environment offers, the oracle included."""
+    runs: tuple[str, ...] = ()
+    """Learned policies besides the pretrained ones: ENV=RUN …, run folders made by train or files made by pack."""
+    episodes: int = 500
+    """Paired episodes of every cell."""
+    seed: int = 90_000_000
+    """Seed of the first episode."""
+    flights: bool = True
+    """Whether held-out recorded flights are flown too."""
+    trackers: bool = False
+    """Add the tables of trackers crossed with policies."""
+    generalisation: bool = False
+    """Add the tables of circumstances that learned policies were not trained in."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords of all environments named: NAME=VALUE …"""
+    out: Path = Path("leaderboard")
+    """Folder of the results and of the cells kept."""
+
+
+@dataclass(frozen=True)
+class Pack:
+    """Pack a run's policy into one file without code, with a model card (.md) and the figures it reached (.json)."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Run folder made by train."""
+    out: Path
+    """FILE.npz."""
+    evaluation: Path | None = None
+    """evaluation.json of this run beside rules, for the card; default: fly one now, of the rules and the greedy
+    policy."""
+    episodes: int = 1000
+    """Episodes of that evaluation."""
+    seed: int = 90_000_000
+    """Its first episode's seed, and the record's."""
+
+
+@dataclass(frozen=True)
 class Reproduce:
-    """Run a paper's experiments and print its claims beside ours."""
+    """Run a paper's experiments and print its claims beside ours; `all` writes one report of all papers."""
 
     paper: Annotated[
-        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar"], tyro.conf.Positional
+        Literal["two-station", "angle-fusion", "imm-mie", "radar-placement", "passive-radar", "all"],
+        tyro.conf.Positional,
     ] = "two-station"
-    """Which paper."""
+    """Which paper, or all."""
     runs: int | None = None
     """Monte-Carlo runs per seed; default 500 (angle-fusion, radar-placement) or 50 (the others)."""
     seeds: tuple[int, ...] = (0, 1, 2, 3)
     """Seeds; scores are averaged over them."""
     out: Path | None = None
-    """Folder for reproduction.json, .md and pictures."""
+    """Folder for reproduction.json, .md and pictures; for all: papers.md, papers.html and a folder per paper. Finished
+    papers are kept, so an interrupted run goes on with the next one."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Draw learning curves of several runs of one environment: median and range over their seeds."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders made by train; they may differ by their seed only."""
+    out: Path = Path("curves.png")
+    """Picture; a .csv file of the same name receives the numbers."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +162,11 @@ class List:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status (2 for bad input, with the reason on standard error)."""
-    commands = {"train": Train, "evaluate": Evaluate, "reproduce": Reproduce, "benchmark": Benchmark, "list": List}
+    """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
+    commands = {
+        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack,
+        "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
+    }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
 
@@ -115,13 +177,16 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(command: Any) -> int:
-    runners = {Train: _train, Evaluate: _evaluate, Reproduce: _reproduce, Benchmark: _benchmark, List: _list}
+    runners = {
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack,
+        Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
+    }  # fmt: skip
     try:
-        runners[type(command)](command)
+        status = runners[type(command)](command)
     except (ValueError, TypeError, OSError) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
-    return 0
+    return status or 0
 
 
 def _train(c: Train) -> None:
@@ -139,19 +204,52 @@ def _evaluate(c: Evaluate) -> None:
     compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
 
 
-def _reproduce(c: Reproduce) -> None:
-    from agents import reproduction
+def _leaderboard(c: Leaderboard) -> None:
+    from agents.leaderboard import leaderboard
 
-    papers = {
-        "two-station": (reproduction.reproduce_two_station, reproduction.print_report),
-        "angle-fusion": (reproduction.reproduce_angle_fusion, reproduction.print_angle_fusion),
-        "imm-mie": (reproduction.reproduce_imm_mie, reproduction.print_imm_mie),
-        "radar-placement": (reproduction.reproduce_radar_placement, reproduction.print_radar_placement),
-        "passive-radar": (reproduction.reproduce_passive_radar, reproduction.print_passive_radar),
-    }
-    reproduce, words = papers[c.paper]
+    leaderboard(
+        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.out,
+        parse_fields(c.fields),
+    )  # fmt: skip
+
+
+def _pack(c: Pack) -> None:
+    from agents.pack import pack
+
+    record = pack(c.run, c.out, c.evaluation, c.episodes, c.seed)
+    print(f"{c.out}: {record['bytes']} bytes\n\n{c.out.with_suffix('.md').read_text(encoding='utf-8')}")
+
+
+def _reproduce(c: Reproduce) -> int:
+    from agents.reproduction import PAPERS
+
+    if c.paper == "all":
+        return _reproduce_all(c)
+    paper = PAPERS[c.paper]
     number = {} if c.runs is None else {"runs": c.runs}
-    print(words(reproduce(**number, seeds=c.seeds, out=c.out)))
+    print(paper.words(paper.reproduce(**number, seeds=c.seeds, out=c.out)))
+    return 0
+
+
+def _reproduce_all(c: Reproduce) -> int:
+    """Returns 1 if a paper failed."""
+    from agents.reproduction.together import reproduce_all, summary_table
+
+    if c.out is None:
+        raise ValueError("reproduce all: needs --out DIR, the folder of the report")
+    parts = reproduce_all(c.out, c.runs, c.seeds)
+    print(f"{summary_table(parts)}\n\n{c.out / 'papers.md'}\n{c.out / 'papers.html'}")
+    for part in parts:
+        if part.failure:
+            print(f"passive-env: {part.paper.name}: not computed, {part.failure}", file=sys.stderr)
+    return int(any(part.failure for part in parts))
+
+
+def _curves(c: Curves) -> None:
+    from agents.curves import draw_curves
+
+    for path in draw_curves(c.runs, c.out):
+        print(path)
 
 
 def _benchmark(c: Benchmark) -> None:
@@ -163,12 +261,18 @@ def _benchmark(c: Benchmark) -> None:
 def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
+    from agents.pretrained import PRETRAINED, pretrained_ids
     from passive_env.catalogue import SCENARIOS, environment_id, environment_ids
     from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
+    trained = {environment: [PRETRAINED] for environment in pretrained_ids()}
+    offered = {
+        environment_id(name): policy_names(scenario) + trained.get(environment_id(name), [])
+        for name, scenario in SCENARIOS.items()
+    }
     for title, names in (
         ("environments", environment_ids()),
-        *((f"policies of {environment_id(name)}", policy_names(scenario)) for name, scenario in SCENARIOS.items()),
+        *((f"policies of {environment}", names) for environment, names in offered.items()),
         ("trackers", list(TRACKERS)),
         ("trackers of azimuth and elevation", list(ANGLE_TRACKERS)),
         ("trackers of a maneuvering target", list(MANEUVER_TRACKERS)),

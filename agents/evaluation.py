@@ -41,7 +41,6 @@ BASELINES = (
     "hysteresis",
     "hold10",
     "timed10",
-    "straight",
     "pursuit",
     "timed_pursuit",
     "planner",
@@ -80,9 +79,48 @@ def nees_scale(degrees: int) -> NeesScale:
 
 RESAMPLES = 2000
 
+ALIKE = ("paths", "state_size", "settled")
+"""What a record takes from its first block."""
+
 LATE_STEPS, LATE_ERROR_M = 5, 1e3
 """A track in space counts as lost if its position error averaged over the last steps exceeds this: Wang, Wang and Yang
 (2004) as specified, "lost A"."""
+
+
+PARTIAL = ("turn_position_error_m",)
+"""Errors that not every episode has."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """What tables are made of: a policy's figures of e episodes, without their course.
+
+    Attributes:
+        score: the error that counts, "range" or "position".
+        errors: what policies are compared by, each [e] m (or m/s²): final and average errors, those of maneuvers, NaN
+            in episodes without any; by name in reports.
+        bounds: [e] m Cramér–Rao bounds at the end; by name in reports.
+        lost, collapsed, nees, standoff, nogo, state_size, decision_time_us, lost_late: as in `Record`.
+    """
+
+    score: str
+    errors: dict[str, np.ndarray]
+    bounds: dict[str, np.ndarray]
+    lost: np.ndarray
+    collapsed: np.ndarray
+    nees: np.ndarray
+    standoff: np.ndarray
+    nogo: np.ndarray
+    state_size: int
+    decision_time_us: float
+    lost_late: Any = None
+
+    @property
+    def samples(self) -> dict[str, np.ndarray]:
+        """The errors of the episodes that have them."""
+        return {
+            name: values[np.isfinite(values)] if name in PARTIAL else values for name, values in self.errors.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -111,6 +149,8 @@ class Record:
             episodes without any; in scenarios whose figures tell who maneuvers.
         acceleration_error_m_s2: [e, k + 1] mean over targets; in the same scenarios.
         scored_error_m: [e] the position error that `info` shows at the end, where that is another than the last scan's.
+        horizontal_error_m, height_error_m: [e, k + 1] mean over targets; in scenarios whose figures tell them.
+        settled: column from which a track is taken to have settled, in the same scenarios.
     """
 
     range_error_m: np.ndarray
@@ -131,6 +171,9 @@ class Record:
     turn_error_m: Any = None
     acceleration_error_m_s2: Any = None
     scored_error_m: Any = None
+    horizontal_error_m: Any = None
+    height_error_m: Any = None
+    settled: int = 1
 
     @property
     def score(self) -> str:
@@ -144,8 +187,8 @@ class Record:
         return ranges if self.score == "range" else {"position": (self.position_error_m, self.position_crlb_m)} | ranges
 
     @property
-    def samples(self) -> dict[str, np.ndarray]:
-        """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
+    def outcomes(self) -> Outcomes:
+        """The figures of every episode, without its course."""
         named = {}
         for kind, (error, _) in self.errors.items():
             named[f"final_{kind}_error_m"] = error[:, -1]
@@ -153,10 +196,29 @@ class Record:
         if self.scored_error_m is not None:
             named["scored_position_error_m"] = self.scored_error_m
         if self.turn_error_m is not None and np.isfinite(self.turn_error_m).any():
-            named["turn_position_error_m"] = self.turn_error_m[np.isfinite(self.turn_error_m)]
+            named["turn_position_error_m"] = self.turn_error_m
         if self.acceleration_error_m_s2 is not None:
             named["mean_acceleration_error_m_s2"] = self.acceleration_error_m_s2[:, 1:].mean(axis=1)
-        return named
+        bounds = {f"final_{kind}_crlb_m": bound[:, -1] for kind, (_, bound) in self.errors.items()}
+        return Outcomes(
+            self.score, named | self._level_samples(), bounds, self.lost, self.collapsed, self.nees, self.standoff,
+            self.nogo, self.state_size, self.decision_time_us, self.lost_late,
+        )  # fmt: skip
+
+    @property
+    def samples(self) -> dict[str, np.ndarray]:
+        """What policies are compared by, each [e]: final and average errors, those of maneuvers; by name in reports."""
+        return self.outcomes.samples
+
+    def _level_samples(self) -> dict[str, np.ndarray]:
+        """Averages of level errors, also of settled tracks, and in space of height errors."""
+        level, height = self.horizontal_error_m, self.height_error_m
+        if level is None:
+            return {}
+        named = {"mean_horizontal_error_m": level[:, 1:].mean(axis=1)}
+        if self.settled < level.shape[1]:
+            named["settled_horizontal_error_m"] = level[:, self.settled :].mean(axis=1)
+        return named | ({"mean_height_error_m": height[:, 1:].mean(axis=1)} if height.any() else {})
 
     @property
     def error_m(self) -> np.ndarray:
@@ -195,19 +257,17 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
         _fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)
     ]
     merged = {
-        name: np.concatenate([block[name] for block in blocks])
-        for name in blocks[0]
-        if name not in ("seconds", "paths", "state_size")
+        name: np.concatenate([block[name] for block in blocks]) for name in blocks[0] if name not in ("seconds", *ALIKE)
     }
     seconds = sum(block["seconds"] for block in blocks)
-    alike = {name: blocks[0][name] for name in ("paths", "state_size")}
+    alike = {name: blocks[0][name] for name in ALIKE if name in blocks[0]}
     return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), **alike)
 
 
 def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
-    log, turns = [_instant(env.world, info, scenario.score)], [_turn(info)]
+    log, turns, levels = [_instant(env.world, info, scenario.score)], [_turn(info)], [_level(info)]
     belief, seconds = env.belief(), 0.0
     _show(policy, env.world)
     policy.reset(belief)
@@ -221,6 +281,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         _show(policy, env.world)
         log.append(_instant(env.world, info, scenario.score))
         turns.append(_turn(info))
+        levels.append(_level(info))
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
@@ -238,6 +299,7 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         position
         | scored
         | _turns(turns)
+        | _levels(levels, scenario)
         | {
             "range_error_m": figures["range_error_m"].mean(-1),
             "range_crlb_m": figures["range_crlb_m"].mean(-1),
@@ -278,6 +340,21 @@ def _turns(log: list[tuple[Any, ...]]) -> dict[str, np.ndarray]:
     count, total = during.sum((1, 2)), np.where(during, error[:, 1:], 0.0).sum((1, 2))
     average = np.divide(total, count, out=np.full(len(total), np.nan), where=count > 0)
     return {"turn_error_m": average, "acceleration_error_m_s2": acceleration.mean(-1)}
+
+
+def _level(info: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Horizontal and height errors, each [e, m]; nothing where figures do not tell."""
+    names = ("horizontal_error_m", "height_error_m")
+    return tuple(info[name] for name in names) if names[0] in info else ()
+
+
+def _levels(log: list[tuple[Any, ...]], scenario: Any) -> dict[str, Any]:
+    """A record's figures of level and height errors."""
+    if not log[0]:
+        return {}
+    level, height = (np.stack(column, axis=1).mean(-1) for column in zip(*log, strict=True))
+    settled = round(scenario.settled_s / scenario.step_s) + 1
+    return {"horizontal_error_m": level, "height_error_m": height, "settled": settled}
 
 
 class _Instant(NamedTuple):
@@ -336,41 +413,42 @@ def fly_all(
 
 def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dict[str, Any]:
     """The evaluation as plain data: figures per policy, ratios to the baselines with paired 95 % intervals."""
-    first = next(iter(records.values()))
-    episodes = len(first.final)
+    outcomes = {name: record.outcomes for name, record in records.items()}
+    first = next(iter(outcomes.values()))
     baselines = [name for name in BASELINES if name in records] or [next(iter(records))]
     return {
         "environment": environment,
-        "episodes": episodes,
+        "episodes": len(first.lost),
         "seed": seed,
         "state_size": first.state_size,
         "score": first.score,
-        "policies": {name: _figures(record) for name, record in records.items()},
+        "policies": {name: figures_of(flown) for name, flown in outcomes.items()},
         "ratios": {
-            base: {name: _ratios(record, records[base]) for name, record in records.items() if name != base}
+            base: {name: _ratios(flown, outcomes[base]) for name, flown in outcomes.items() if name != base}
             for base in baselines
         },
     }
 
 
-def _figures(record: Record) -> dict[str, Any]:
-    low, high = nees_scale(record.state_size).band
-    errors = {name: _statistics(values) for name, values in record.samples.items()}
-    bounds = {f"final_{kind}_crlb_m": float(bound[:, -1].mean()) for kind, (_, bound) in record.errors.items()}
-    late = {} if record.lost_late is None else _share(record.lost_late)
+def figures_of(flown: Outcomes) -> dict[str, Any]:
+    """A policy's figures as plain data."""
+    low, high = nees_scale(flown.state_size).band
+    errors = {name: _statistics(values) for name, values in flown.samples.items()}
+    bounds = {name: float(bound.mean()) for name, bound in flown.bounds.items()}
+    late = {} if flown.lost_late is None else _share(flown.lost_late)
     return (
         errors
         | late
         | {
-            "lost_share": float(record.lost.mean()),
-            "collapse_share": float(record.collapsed.mean()),
-            "standoff_share": float(record.standoff.mean()),
-            "nogo_share": float(record.nogo.mean()),
-            "final_nees": _statistics(record.nees),
-            "final_nees_in_band_share": float(((record.nees >= low) & (record.nees <= high)).mean()),
+            "lost_share": float(flown.lost.mean()),
+            "collapse_share": float(flown.collapsed.mean()),
+            "standoff_share": float(flown.standoff.mean()),
+            "nogo_share": float(flown.nogo.mean()),
+            "final_nees": _statistics(flown.nees),
+            "final_nees_in_band_share": float(((flown.nees >= low) & (flown.nees <= high)).mean()),
         }
         | bounds
-        | {"decision_time_us": record.decision_time_us}
+        | {"decision_time_us": flown.decision_time_us}
     )
 
 
@@ -389,12 +467,21 @@ def _statistics(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def _ratios(record: Record, base: Record) -> dict[str, Any]:
-    pairs = zip(record.samples.items(), base.samples.values(), strict=True)
+def _ratios(flown: Outcomes, base: Outcomes) -> dict[str, Any]:
+    pairs = zip(flown.samples.items(), base.samples.values(), strict=True)
     ratios = {name: ratio_of_means(values, other) for (name, values), other in pairs}
-    if record.lost_late is not None:
-        ratios["lost_late_share"] = difference_of_means(record.lost_late, base.lost_late)
+    if flown.lost_late is not None:
+        ratios["lost_late_share"] = difference_of_means(flown.lost_late, base.lost_late)
     return ratios
+
+
+def mean_interval(values: np.ndarray, seed: int = 0) -> list[float]:
+    """Percentile bootstrap 95 % interval [low, high] of a sample's mean; values [e], seed of the resampling."""
+    if len(values) < 2:
+        return [float(values.mean())] * 2
+    draws = np.random.default_rng(seed).multinomial(len(values), np.full(len(values), 1.0 / len(values)), RESAMPLES)
+    low, high = np.percentile(draws @ values / len(values), [2.5, 97.5])
+    return [float(low), float(high)]
 
 
 def ratio_of_means(values: np.ndarray, base: np.ndarray, seed: int = 0) -> dict[str, Any]:

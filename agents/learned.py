@@ -1,9 +1,10 @@
-"""Trained policies: a run folder's model, checked against the environment it is asked to steer."""
+"""Trained policies: a run folder's model, or one packed into a file, checked against the environment it shall steer."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.actor import one_thread, plain_actor
 from agents.algorithms import find_algorithm
+from agents.networks import rebuild
+from agents.packed import is_packed, read_packed
 from passive_env.actions import GUIDED
 from passive_env.belief import Belief
 from passive_env.catalogue import make_scenario
@@ -21,40 +24,57 @@ from passive_env.core import Simulation
 CONFIG, MODEL = "config.json", "model.zip"
 
 
-class ModelPolicy:
-    """A model that steers by its deterministic action; a recurrent one remembers its episodes so far.
+class ActorPolicy:
+    """Steers by the actions of a function of the observation.
 
     Args:
-        model: whose spaces are those of the environment.
+        actor: actions of observations [e, d].
         simulation: the parts by which it was trained.
-        shown: scenario whose observations it will be given; where it shows others than those the model was trained on,
-            they are made from the belief. None: the same.
+        shown: scenario whose observations it will be given; where it shows others than those it was trained on, they
+            are made from the belief. None: the same.
     """
 
-    def __init__(self, model: BaseAlgorithm, simulation: Simulation, shown: Any = None):
-        self._model = model
-        self._actor = plain_actor(model)
+    def __init__(self, actor: Callable[[np.ndarray], np.ndarray], simulation: Simulation, shown: Any = None):
+        self._actor = actor
         trained = simulation.scenario
         sees_otherwise = shown is not None and any(getattr(trained, n) != getattr(shown, n) for n in trained.sight)
         self._codec, self._sight = simulation.actions, simulation.observation if sees_otherwise else None
-        self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
 
     def reset(self, belief: Belief) -> None:
-        """Forget the episodes before; the first decision shall not wait for a kernel to be loaded."""
-        self._memory = None
+        """The first decision shall not wait for a kernel to be loaded."""
         if belief is not None:
             self._codec.commands(np.zeros((len(belief.steps_left), self._codec.size)), belief)
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
-        """Commands [e, a] of observations [e, d].
+        """Commands [e, a] of observations [e, d]."""
+        actions = self._actor(observation if self._sight is None else self._sight(belief))
+        return self._codec.commands(self._codec.decode(actions, len(actions)), belief)
+
+
+class ModelPolicy(ActorPolicy):
+    """A model that steers by its deterministic action; a recurrent one remembers its episodes so far.
+
+    Args:
+        model: whose spaces are those of the environment.
+        simulation, shown: as of `ActorPolicy`.
+    """
+
+    def __init__(self, model: BaseAlgorithm, simulation: Simulation, shown: Any = None):
+        super().__init__(plain_actor(model) or self._predict, simulation, shown)
+        self._model = model
+        self._memory: Any = None  # a recurrent network's states [layers, e, hidden]; others have none
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the episodes before."""
+        self._memory = None
+        super().reset(belief)
+
+    def _predict(self, observation: np.ndarray) -> np.ndarray:
+        """Actions of observations [e, d].
 
         Raises:
             ValueError: a recurrent model in the middle of another number of episodes.
         """
-        if self._sight is not None:
-            observation = self._sight(belief)
-        if self._actor is not None:
-            return self._commands(self._actor(observation), belief)
         if self._memory is not None and self._memory[0].shape[1] != len(observation):
             raise ValueError(
                 f"{len(observation)} observations, but {self._memory[0].shape[1]} episodes are remembered: "
@@ -62,10 +82,7 @@ class ModelPolicy:
             )
         with one_thread():
             actions, self._memory = self._model.predict(observation, self._memory, deterministic=True)
-        return self._commands(actions, belief)
-
-    def _commands(self, actions: np.ndarray, belief: Belief) -> np.ndarray:
-        return self._codec.commands(self._codec.decode(actions, len(actions)), belief)
+        return actions
 
 
 class LearnedPolicy(ModelPolicy):
@@ -89,6 +106,39 @@ class LearnedPolicy(ModelPolicy):
         super().__init__(model, simulation, shown)
 
 
+class PackedPolicy(ActorPolicy):
+    """A packed policy, checked against the environment it shall steer; its file needs no trust.
+
+    Args:
+        file: made by ``passive-env pack``.
+        environment: id of the environment it shall steer.
+        simulation: that environment's parts.
+    Raises:
+        FileNotFoundError: no such file; ValueError: made for another environment or damaged.
+    """
+
+    def __init__(self, file: str | Path, environment: str, simulation: Simulation):
+        packed = read_packed(file)
+        _check_environment(Path(file), packed.description, environment)
+        shown, simulation = simulation.scenario, _as_trained(packed.description, environment, simulation)
+        _check_fit(Path(file), packed.description, environment, simulation)
+        self.description = packed.description
+        super().__init__(
+            rebuild(str(file), packed.description["network"], packed.arrays, simulation), simulation, shown
+        )
+
+
+def is_trained(path: str | Path) -> bool:
+    """Whether a name is that of a run folder, or of what should be one, or of a packed policy's file."""
+    return Path(path).is_dir() or (Path(path) / CONFIG).exists() or is_packed(path)
+
+
+def open_policy(path: str | Path, environment: str, simulation: Simulation) -> ActorPolicy:
+    """The policy of a run folder or of a packed file; arguments and errors as of `LearnedPolicy`, `PackedPolicy`."""
+    kind = PackedPolicy if is_packed(path) else LearnedPolicy
+    return kind(path, environment, simulation)
+
+
 def read_config(run: Path) -> dict[str, Any]:
     """A run folder's resolved configuration.
 
@@ -104,7 +154,7 @@ def read_config(run: Path) -> dict[str, Any]:
         raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
     needed = ("environment", "observation_digest", "algo")
     missing = [name for name in needed if not (isinstance(config, dict) and name in config)]
-    if not missing and not isinstance(_interface(config), dict):
+    if not missing and not isinstance(trained_interface(config), dict):
         missing = ["interface"]
     if missing:
         raise ValueError(f"{file}: is no run's configuration, {', '.join(missing)} missing; restore it or train again")
@@ -137,7 +187,7 @@ def observation_digest(simulation: Simulation) -> str:
     return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
 
 
-def _interface(config: dict[str, Any]) -> dict[str, Any]:
+def trained_interface(config: dict[str, Any]) -> dict[str, Any]:
     """Fields by which a model sees and acts; runs of earlier versions name the kind of actions only."""
     return config.get("interface", {"actions": config.get("actions", "continuous")})
 
@@ -150,7 +200,7 @@ def _as_trained(config: dict[str, Any], environment: str, simulation: Simulation
     scenario, registered = simulation.scenario, make_scenario(environment, {}).interface()
     changed = {
         name: value
-        for name, value in _interface(config).items()
+        for name, value in trained_interface(config).items()
         if name in registered and getattr(scenario, name) == registered[name] != value
     }
     return replace(scenario, **changed).make_simulation() if changed else simulation
@@ -180,7 +230,7 @@ def _check_fit(run: Path, config: dict[str, Any], environment: str, simulation: 
             f"(number of targets, action kind, or another version of the package); train again"
         )
     now = simulation.scenario.interface()
-    for name, value in _interface(config).items():
+    for name, value in trained_interface(config).items():
         if now.get(name, value) != value:
             raise ValueError(
                 f"{run}: its model was trained with {name}={value!r}, not {now[name]!r}; leave it out or train again"

@@ -9,8 +9,9 @@ from typing import Any
 
 from agents.evaluation import fly_all, summarize, unique_names
 from agents.files import make_folder
-from agents.learned import CONFIG, LearnedPolicy
+from agents.learned import is_trained, open_policy
 from agents.policy import Policy, make_policy, policy_names, sees_world
+from agents.pretrained import PRETRAINED, load_pretrained, pretrained_ids, sees_alike
 from agents.report import as_markdown, crossing_as_markdown, write_crossing, write_evaluation
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
@@ -53,7 +54,7 @@ def compare(
     name = scenario_name(env)
     _check_numbers(episodes, seed)
     if policies is None:
-        policies = _standard_policies(name, fields)
+        policies = [*_standard_policies(name, fields), *_pretrained(name, fields)]
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
     base = make_scenario(name, fields) if flights is None else flown_by(name, flights, fields)
@@ -94,6 +95,12 @@ def _standard_policies(name: str, fields: dict[str, Any]) -> list[str]:
     return [known for known in policy_names(scenario) if not sees_world(make_policy(known, scenario))]
 
 
+def _pretrained(name: str, fields: dict[str, Any]) -> list[str]:
+    """The pretrained policy's name, where there is one and it can fly."""
+    fits = environment_id(name) in pretrained_ids() and sees_alike(name, make_scenario(name, fields))
+    return [PRETRAINED] if fits else []
+
+
 def _check_numbers(episodes: int, seed: int) -> None:
     if episodes < 1:
         raise ValueError(f"--episodes {episodes}: must be at least 1")
@@ -102,7 +109,7 @@ def _check_numbers(episodes: int, seed: int) -> None:
 
 
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
-    known = policy_names(scenario)
+    known = [*policy_names(scenario), PRETRAINED]
     labels = unique_names([name if name in known else "learned" for name in names])
     return {
         label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)
@@ -110,9 +117,11 @@ def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> 
 
 
 def _make_policy(name: str, scenario_name_: str, scenario: Any, known: Sequence[str]) -> Policy:
-    if name in known or not (Path(name).is_dir() or (Path(name) / CONFIG).exists()):
+    if name == PRETRAINED:
+        return load_pretrained(scenario_name_, scenario)
+    if name in known or not is_trained(name):
         return make_policy(name, scenario)
-    return LearnedPolicy(name, environment_id(scenario_name_), scenario.make_simulation())
+    return open_policy(name, environment_id(scenario_name_), scenario.make_simulation())
 
 
 def _free_folder(folder: Path, resume: bool) -> Path:

@@ -85,7 +85,7 @@ def error_over_time(
         axes.plot(time_s, 1e-3 * np.asarray(curve), color=curve_color(i), **ERROR_LINE)
         if name in bound:
             axes.plot(time_s, 1e-3 * np.asarray(bound[name]), color=curve_color(i), **BOUND_LINE)
-    _log_ticks(axes.yaxis, axes.set_yscale)
+    log_ticks(axes.yaxis, axes.set_yscale)
     axes.set_xlim(time_s[0], time_s[-1])
     _label_ends(axes, time_s[-1], {name: 1e-3 * float(curve[-1]) for name, curve in curves.items()})
     if bound:
@@ -227,7 +227,7 @@ def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[
         axes.plot(time_s, 1e-3 * error, color=series_color(j), **line)
         axes.plot(time_s, 1e-3 * bound, color=series_color(j), **BOUND_LINE)
     axes.set_xlim(time_s[0], max(time_s[-1], time_s[0] + 1.0))
-    _log_ticks(axes.yaxis, axes.set_yscale)
+    log_ticks(axes.yaxis, axes.set_yscale)
     axes.set_ylim(*limits)
 
 
@@ -341,7 +341,7 @@ def ratio_chart(ratios: Mapping[str, tuple[float, float, float]], title: str) ->
     shown = values[np.isfinite(values) & (values > 0.0)]
     axes.set_xlim(min(shown.min(), 0.95) / 1.04, max(shown.max(), 1.05) * 1.04)
     axes.set_ylim(-0.6, len(names) - 0.4)
-    _log_ticks(axes.xaxis, axes.set_xscale)
+    log_ticks(axes.xaxis, axes.set_xscale)
     for row, (r, a, b) in zip(rows, values, strict=True):
         interval = f"  [{a:.2f}, {b:.2f}]" if a <= b else ""
         axes.annotate(
@@ -377,7 +377,7 @@ def style_diagram(axes: Axes, x_label: str, y_label: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _log_ticks(axis: Any, set_scale: Any) -> None:
+def log_ticks(axis: Any, set_scale: Any) -> None:
     """A logarithmic axis with plain numbers: 1, 2, 5, 10, … or equal steps where it spans little."""
     set_scale("log")
     low, high = axis.get_view_interval()

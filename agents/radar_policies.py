@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from agents.policy import Policy, sees_world
+from passive_env.catalogue.passive_radar import PAPER_SITES_M
 from passive_env.core import World, map_rows
 from passive_env.radar_promise import BLOCK, Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
@@ -67,7 +68,7 @@ class Selection(ABC):
 
 
 class Fixed(Selection):
-    """Listens to the same transmitters all the time, the first ones of the pool: of the paper's sites to all."""
+    """Listens to the same transmitters all the time, the pool's first ones: in space to all of the paper's sites."""
 
     def choose(self, belief: RadarBelief) -> np.ndarray:
         """Numbers [e] of the combinations to listen to."""
@@ -446,7 +447,7 @@ MOVING: dict[str, Maker] = {
 
 def radar_makers(scenario: Any) -> dict[str, Maker]:
     """Makers by name of all that can act in a scenario."""
-    fixed = "fixed" if scenario.sites == "random" else "paper"
+    fixed = "paper" if scenario.sites in PAPER_SITES_M else "fixed"
     makers: dict[str, Maker] = {fixed: lambda scenario, seed: Fixed(scenario), **RULES, **SEARCHES}
     if scenario.retune_delay_s > 0.0:
         makers |= RETUNING

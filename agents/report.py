@@ -17,6 +17,7 @@ from agents.maneuvers import Maneuvers, maneuvers
 from agents.pictures import EpisodePaths
 from agents.placement_pictures import placement_maps
 from passive_env.catalogue.mobile_placement import MobilePlacement
+from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.catalogue.placement import RadarPlacement
 
 METRICS = {"final": "final", "mean": "time average"}
@@ -25,6 +26,11 @@ MANEUVERS = {"turn_position_error_m": "while maneuvering", "mean_acceleration_er
 """What is compared besides where targets are known to maneuver, and its names."""
 SCORED = {"scored_position_error_m": "last scans"}
 """The error by which an episode of placement is scored, and its name."""
+LEVEL = {
+    "mean_horizontal_error_m": "horizontal average", "settled_horizontal_error_m": "settled",
+    "mean_height_error_m": "height average",
+}  # fmt: skip
+"""Averages of errors in the plane, of all steps and of a settled track's, and of height errors, and their names."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
 
@@ -59,6 +65,8 @@ def _of_geometry(title: str, records: Mapping[str, Record], scenario: Any, times
         installed = {name: _installed(path) for name, path in paths.items()}
         return [("geometry.png", pictures.geometry(times, installed, f"{title}: the first one"))]
     geometry = pictures.geometry(times, paths, f"{title}: the first one")
+    if not scenario.moves:
+        return [("geometry.png", geometry)]
     flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
     platform = "the reference station's courses" if scenario.stations > 1 else "courses"
     return [("geometry.png", geometry), ("maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs"))]
@@ -71,10 +79,10 @@ def _installed(paths: EpisodePaths) -> EpisodePaths:
 
 def as_csv(summary: Mapping[str, Any]) -> str:
     """One row per policy, one column per figure."""
-    rows = [{"policy": name, **_flatten(figures)} for name, figures in summary["policies"].items()]
+    rows = [{"policy": name, **flatten(figures)} for name, figures in summary["policies"].items()]
     for row in rows:
         for base, ratios in summary["ratios"].items():
-            for metric in _metrics(summary):
+            for metric in metrics_of(summary):
                 ratio = ratios.get(row["policy"], {}).get(metric)
                 low, high = ratio["ci95"] if ratio else (None, None)
                 name = f"{metric}_over_{base}"
@@ -86,14 +94,15 @@ def as_csv(summary: Mapping[str, Any]) -> str:
     return buffer.getvalue()
 
 
-def _metrics(summary: Mapping[str, Any]) -> dict[str, str]:
+def metrics_of(summary: Mapping[str, Any]) -> dict[str, str]:
     """Errors that count, and their names in tables."""
     shown = next(iter(summary["policies"].values()))
     counted = {f"{when}_{summary['score']}_error_m": words for when, words in METRICS.items()}
-    return counted | {name: words for name, words in (SCORED | MANEUVERS).items() if name in shown}
+    return counted | {name: words for name, words in (SCORED | MANEUVERS | LEVEL).items() if name in shown}
 
 
-def _flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
+def flatten(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures in one level, as columns of a table: the names of both levels joined by an underscore."""
     flat: dict[str, Any] = {}
     for name, value in figures.items():
         if isinstance(value, list):
@@ -110,25 +119,30 @@ def as_markdown(summary: Mapping[str, Any]) -> str:
 def _figures_table(summary: Mapping[str, Any]) -> list[str]:
     policies, in_space = summary["policies"], summary["score"] == "position"
     zones = [name for name in ZONES if any(figures[name] > 0.0 for figures in policies.values())]
-    _, _, *more = _metrics(summary).items()
+    _, _, *more = metrics_of(summary).items()
     head = ["policy", "final mean", "median", "p95", "time average", *(words for _, words in more)]
-    head += ["average p95", "lost late", "range final", "range average"] if in_space else []
+    head += ["average median", "average p95", "lost late", "range final", "range average"] if in_space else []
     head += ["bound", "lost", "collapsed", "NEES mean / median", *(ZONES[name] for name in zones), "µs/decision"]
     rows = []
     for name, figures in policies.items():
-        final, mean, *rest = (figures[metric] for metric in _metrics(summary))
+        final, mean, *rest = (figures[metric] for metric in metrics_of(summary))
         cells = [name, f"{final['mean']:.0f}", f"{final['median']:.0f}", f"{final['p95']:.0f}", f"{mean['mean']:.0f}"]
         cells += [f"{figure['mean']:.3g}" for figure in rest]
         if in_space:
             ranges = (figures[f"{when}_range_error_m"]["mean"] for when in METRICS)
-            cells += [f"{mean['p95']:.0f}", _percent(figures["lost_late_share"]), *(f"{value:.0f}" for value in ranges)]
+            cells += [
+                f"{mean['median']:.0f}",
+                f"{mean['p95']:.0f}",
+                percent(figures["lost_late_share"]),
+                *(f"{value:.0f}" for value in ranges),
+            ]
         bound = figures[f"final_{summary['score']}_crlb_m"]
-        cells += [f"{bound:.0f}", _percent(figures["lost_share"])]
+        cells += [f"{bound:.0f}", percent(figures["lost_share"])]
         nees = figures["final_nees"]
-        cells += [_percent(figures["collapse_share"]), f"{nees['mean']:.1f} / {nees['median']:.1f}"]
-        cells += [*(_percent(figures[zone]) for zone in zones), f"{figures['decision_time_us']:.2f}"]
+        cells += [percent(figures["collapse_share"]), f"{nees['mean']:.1f} / {nees['median']:.1f}"]
+        cells += [*(percent(figures[zone]) for zone in zones), f"{figures['decision_time_us']:.2f}"]
         rows.append(cells)
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _ratios_table(summary: Mapping[str, Any]) -> list[str]:
@@ -137,14 +151,15 @@ def _ratios_table(summary: Mapping[str, Any]) -> list[str]:
     rows = []
     for name in summary["policies"]:
         compared = [summary["ratios"][base].get(name) for base in bases]
-        for metric, words in _metrics(summary).items():
+        for metric, words in metrics_of(summary).items():
             rows.append([name, words, *(_ratio_cell(ratios, metric) for ratios in compared)])
         if summary["score"] == "position":
             rows.append([name, "lost late, less base", *(_difference_cell(ratios) for ratios in compared)])
-    return _table(["policy", "error", *(f"/ {base}" for base in bases)], rows)
+    return table(["policy", "error", *(f"/ {base}" for base in bases)], rows)
 
 
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+def table(head: list[str], rows: list[list[str]]) -> list[str]:
+    """Lines of a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return ["| " + " | ".join(cells) + " |" for cells in lines]
 
@@ -154,7 +169,7 @@ def _note(summary: Mapping[str, Any]) -> str:
     return (
         f"{summary['environment']}: {summary['score']} error in metres over {summary['episodes']} paired episodes from "
         f"seed {summary['seed']}, mean over targets. {_late_note(summary)}"
-        f"{_scored_note(summary)}{_maneuver_note(summary)}"
+        f"{_scored_note(summary)}{_maneuver_note(summary)}{_level_note(summary)}"
         "Bound: posterior Cramér–Rao bound at the end, mean; it is a standard deviation (a mean absolute error may lie "
         "20 % below it) for targets as restless as the filter assumes (those that fly straight for long can be ranged "
         "better). Collapsed: ends more than "
@@ -171,18 +186,24 @@ def _late_note(summary: Mapping[str, Any]) -> str:
 
 
 def _scored_note(summary: Mapping[str, Any]) -> str:
-    if not SCORED.keys() & _metrics(summary).keys():
+    if not SCORED.keys() & metrics_of(summary).keys():
         return ""
     return "Last scans: position error over the scans that are scored (final: after the very last). "
 
 
 def _maneuver_note(summary: Mapping[str, Any]) -> str:
-    if not MANEUVERS.keys() & _metrics(summary).keys():
+    if not MANEUVERS.keys() & metrics_of(summary).keys():
         return ""
     return (
         "While maneuvering: position error over the steps at which the target accelerates, mean over the episodes that "
         "have any. Acceleration: error of its estimate in m/s², time average. "
     )
+
+
+def _level_note(summary: Mapping[str, Any]) -> str:
+    if not LEVEL.keys() & metrics_of(summary).keys():
+        return ""
+    return f"Settled: horizontal error averaged over the steps after the first {PassiveRadar.settled_s:g} s. "
 
 
 def write_crossing(out: Path, summaries: Mapping[str, dict[str, Any]]) -> list[Path]:
@@ -208,10 +229,11 @@ def crossing_as_markdown(summaries: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _crossing_cell(figures: Mapping[str, Any], score: str) -> str:
-    return f"{figures[f'final_{score}_error_m']['mean']:.0f} ({_percent(figures['lost_share'])} lost)"
+    return f"{figures[f'final_{score}_error_m']['mean']:.0f} ({percent(figures['lost_share'])} lost)"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share as a percentage with two decimals."""
     return f"{100 * share:.2f} %"
 
 

@@ -7,14 +7,12 @@ saved model and that seed only. A checkpoint of an off-policy learner holds its 
 
 from __future__ import annotations
 
+import json
 import os
-import platform
 import random
-import shutil
-import subprocess
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +30,13 @@ from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
+from agents.provenance import commit, versions
 from agents.sb3 import Sb3VecEnv
 from agents.transmitter_network import TransmitterPolicy, network_settings
 from passive_env.catalogue import environment_id, make_scenario
 from passive_env.vector_env import PassiveVectorEnv
 
-CHECKPOINT = "checkpoint.zip"
+CHECKPOINT, TRAINING = "checkpoint.zip", "training.json"
 EVALUATION_EPISODES = 256
 REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
@@ -146,7 +145,7 @@ def _check_device(device: str) -> None:
 
 
 def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
-    """Train and leave ``model.zip``, ``config.json`` and TensorBoard logs in the run's folder.
+    """Train and leave ``model.zip``, ``config.json``, ``training.json`` and TensorBoard logs in the run's folder.
 
     Args:
         run: what to train.
@@ -165,6 +164,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
             f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it"
         )
     torch.set_num_threads(run.preset.get("torch_threads", 1))
+    clock = Clock(run.folder)
     env = Sb3VecEnv(
         PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
         truth=run.asymmetric,
@@ -175,10 +175,11 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     left = run.timesteps - model.num_timesteps
     if left > 0:
         model.learn(
-            left, callback=Checkpoints(run), log_interval=ALGORITHMS[run.algo].log_interval(run.envs),
+            left, callback=Checkpoints(run, clock), log_interval=ALGORITHMS[run.algo].log_interval(run.envs),
             reset_num_timesteps=False, progress_bar=progress, tb_log_name="log",
         )  # fmt: skip
     save_model(_flown(model), run.folder / MODEL)
+    clock.save()
     env.close()
     return run.folder / MODEL
 
@@ -195,6 +196,38 @@ def save_model(model: BaseAlgorithm, file: Path, *include: str) -> None:
     os.replace(neighbour, file)
 
 
+class Clock:
+    """Wall time of a run, in ``training.json``: what a killed process did after its last checkpoint does not count."""
+
+    def __init__(self, folder: Path):
+        self._file = folder / TRAINING
+        self._before, self._begin = _saved_seconds(self._file) or 0.0, time.perf_counter()
+
+    def save(self) -> None:
+        """Write the seconds so far."""
+        write_json(self._file, {"seconds": self._before + time.perf_counter() - self._begin})
+
+
+def training_seconds(folder: Path) -> float | None:
+    """Wall time of a finished run; without ``training.json`` what its TensorBoard logs span, None without these."""
+    seconds = _saved_seconds(folder / TRAINING)
+    return _logged_seconds(folder / "tensorboard") if seconds is None else seconds
+
+
+def _saved_seconds(file: Path) -> float | None:
+    return json.loads(file.read_text(encoding="utf-8"))["seconds"] if file.is_file() else None
+
+
+def _logged_seconds(folder: Path) -> float | None:
+    from tensorboard.backend.event_processing.event_file_loader import LegacyEventFileLoader
+
+    spans = []
+    for file in sorted(folder.rglob("events.out.tfevents.*")):
+        times = [event.wall_time for event in LegacyEventFileLoader(str(file)).Load()]
+        spans.append(max(times) - min(times))
+    return float(sum(spans)) if spans else None
+
+
 def training_seed(seed: int) -> int:
     """Start of the seeds a run may use: 10⁹ to itself, far from those of every evaluation."""
     return (10 + seed) * 10**9
@@ -203,9 +236,9 @@ def training_seed(seed: int) -> int:
 class Checkpoints(BaseCallback):
     """Between rollouts: every so many, save a checkpoint, evaluate, and seed everything anew."""
 
-    def __init__(self, run: Run):
+    def __init__(self, run: Run, clock: Clock):
         super().__init__()
-        self._run = run
+        self._run, self._clock = run, clock
         self._every = run.preset.get("checkpoint_rollouts", 20) * rollout_steps(run)
         self._next = 0
         self._references: dict[str, float] = {}
@@ -219,6 +252,7 @@ class Checkpoints(BaseCallback):
         if self.num_timesteps > 0:
             self._evaluate()
             save_model(self.model, self._run.folder / CHECKPOINT, "replay_buffer")
+            self._clock.save()
         self._next = self.num_timesteps + self._every
         reseed(self.model, training_seed(self._run.seed) + self.num_timesteps)
 
@@ -353,26 +387,3 @@ def _check_same_run(run: Run) -> None:
             raise ValueError(
                 f"{run.folder}: cannot resume, {name} was {begun.get(name)!r} when it began and is {now[name]!r} now"
             )
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that decides a result."""
-    names = ("passive-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "sb3-contrib", "torch")
-    return {"python": platform.python_version(), **{name: _version(name) for name in names}}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def commit() -> str | None:
-    """Commit of the source tree this runs from, if it is one and git is there."""
-    git = shutil.which("git")
-    if git is None:
-        return None
-    here = Path(__file__).resolve().parent
-    done = subprocess.run([git, "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or None

@@ -72,7 +72,7 @@ class TransmitterPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         sizes: Any = self.net_arch
-        self.mlp_extractor: Any = _SharedLayers(self.layout, list(sizes), self.activation_fn, self.sharpness)
+        self.mlp_extractor: Any = SharedLayers(self.layout, list(sizes), self.activation_fn, self.sharpness)
         self.mlp_extractor.to(self.device)
 
     def flown(self) -> tuple[Any, dict[str, Any], dict[str, torch.Tensor]]:
@@ -92,8 +92,13 @@ class TransmitterPolicy(ActorCriticPolicy):
         self.optimizer = make(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class _SharedLayers(nn.Module):
-    """From observations to scores [e, a] and to the critic's features."""
+class SharedLayers(nn.Module):
+    """From observations to scores [e, a] and to the critic's features.
+
+    Attributes:
+        sizes: units of the hidden layers.
+        sharpness: as of `TransmitterPolicy`.
+    """
 
     members: torch.Tensor  # [c, n], 1 of those in a combination
 
@@ -101,7 +106,7 @@ class _SharedLayers(nn.Module):
         super().__init__()
         self._shared, self._own, self._pool = layout["shared"], layout["per_transmitter"], layout["pool"]
         self._promised, self._discrete, self._moves = layout["promised"], layout["discrete"], layout["moves"]
-        self._sharpness, width = sharpness, sizes[-1]
+        self.sizes, self.sharpness, width = sizes, sharpness, sizes[-1]
         self._truth, self._truth_shared = layout["truth"], layout["truth_shared"]
         more = (self._truth - self._truth_shared) // self._pool
         self.actor = _Encoder(self._shared, self._own, sizes, activation)
@@ -124,9 +129,11 @@ class _SharedLayers(nn.Module):
             nn.init.constant_(self.move.bias[self._moves // 2 : self._moves // 2 + 1], LEAD_PREFERENCE)
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The actor's and the critic's of observations [e, d]."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Rates and scores [e, a] of observations [e, d]."""
         each = self.actor(*self._parts(features))
         mean = each.mean(dim=1)
         hidden = self.member(each)
@@ -142,6 +149,7 @@ class _SharedLayers(nn.Module):
         return torch.cat([self.move(mean), score], dim=1) if self._moves else score
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """The critic's features [e, 2 m] of observations [e, d]."""
         each = self.critic(*self._with_truth(features))
         return torch.cat([each.mean(dim=1), each.amax(dim=1)], dim=1)
 
@@ -165,7 +173,7 @@ class _SharedLayers(nn.Module):
         if not self._promised:
             return None
         begin = self._shared + self._pool * self._own
-        promise = self._sharpness * features[:, begin : begin + self._promised]
+        promise = self.sharpness * features[:, begin : begin + self._promised]
         if self._discrete:
             return promise
         without = torch.where(self.members.T > 0.0, 0.0, torch.inf)

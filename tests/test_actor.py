@@ -84,10 +84,22 @@ def test_no_observations_give_no_actions():
     assert actor(np.zeros((0, 18), dtype=np.float32)).shape == (0, 1)
 
 
+@pytest.mark.parametrize("e", [0, 1, ROWS + 5])
+def test_choices_are_those_of_predict(e):
+    """The mode of every choice; the packed policies' tests look at near ties."""
+    model = model_of("ppo", "TwoStation", actions="discrete")
+    actor = plain_actor(model)
+    assert actor is not None
+    x = observations(model, e)
+    expected = model.predict(x, deterministic=True)[0] if e else np.zeros((0, 2))
+    np.testing.assert_array_equal(actor(x), expected)
+    if e > ROWS:
+        assert all(len(np.unique(column)) > 1 for column in expected.T)
+
+
 def test_other_networks_are_left_to_predict():
-    """Memory, choices, exploration noise that depends on the state, layers of another kind."""
+    """Memory, exploration noise that depends on the state, layers of another kind."""
     env = Sb3VecEnv(PassiveVectorEnv("Ownship", num_envs=2, autoreset_mode="same_step"))
     assert plain_actor(model_of("recurrent_ppo")) is None
-    assert plain_actor(model_of("ppo", actions="discrete")) is None
     assert plain_actor(PPO("MlpPolicy", env, use_sde=True, device="cpu")) is None
     assert plain_actor(PPO("MlpPolicy", env, policy_kwargs={"activation_fn": nn.ELU}, device="cpu")) is None

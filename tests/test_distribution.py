@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 IMPORT = "import warnings; warnings.simplefilter('always'); import passive_env; print(passive_env.__version__)"
+TOP_LEVEL = ("trackers", "passive_env", "agents")
 RIVALS = [("trackers", "trackers"), ("agents", "openai-agents"), ("agents", "agents")]
 
 
@@ -101,6 +103,13 @@ def test_a_rival_that_is_compiled_or_not_utf8_is_found_out_too(tmp_path):
 def test_our_packages_carry_the_distributions_name(package):
     source = (ROOT / package / "__init__.py").read_text(encoding="utf-8")
     assert 'DISTRIBUTION = "passive-env"' in source
+
+
+def test_every_package_of_the_source_tree_is_installed():
+    installed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    found = [file.parent.relative_to(ROOT) for top in TOP_LEVEL for file in (ROOT / top).rglob("__init__.py")]
+    assert {".".join(folder.parts) for folder in found} <= set(installed)
+    assert {name.split(".")[0] for name in installed} == set(TOP_LEVEL)
 
 
 FORBIDDEN = {

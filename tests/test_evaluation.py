@@ -494,8 +494,11 @@ def test_evaluate_command_writes_and_prints_the_comparison(tmp_path, capsys):
 def test_evaluate_command_flies_all_policies_but_the_oracle_by_default(tmp_path):
     assert evaluate("--episodes", 2, "--out", tmp_path) == 0
     summary = json.loads((tmp_path / "evaluation.json").read_text())
-    assert list(summary["policies"]) == [name for name in policy_names(TwoStation()) if name != "oracle"]
+    untrained = [name for name in policy_names(TwoStation()) if name != "oracle"]
+    assert list(summary["policies"]) == [*untrained, "pretrained"]
     assert {"paper", "rule", "rule_tuned", "greedy", "planner"} == set(summary["ratios"])
+    assert evaluate("--episodes", 2, "--out", tmp_path, "--fields", "targets=2") == 0  # which looks otherwise
+    assert list(json.loads((tmp_path / "evaluation.json").read_text())["policies"]) == untrained
 
 
 def test_evaluate_command_crosses_policies_with_trackers(tmp_path):
@@ -686,6 +689,18 @@ def test_bad_input_to_train_is_refused_before_any_training(tmp_path, capsys, mon
 FLAGS = {
     "train": ("env", "algo", "timesteps", "seed", "envs", "device", "out", "resume", "episodes", "flights"),
     "evaluate": ("policies", "trackers", "episodes", "seed", "flights", "out"),
+    "leaderboard": (
+        "envs",
+        "policies",
+        "runs",
+        "episodes",
+        "seed",
+        "flights",
+        "trackers",
+        "generalisation",
+        "fields",
+        "out",
+    ),
     "reproduce": ("runs", "seeds", "out"),
     "benchmark": ("out", "quick"),
     "list": (),

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest, norm
 
-from agents.evaluation import fly
+from agents.evaluation import fly, summarize
 from agents.policy import make_policy
+from agents.report import as_markdown, write_evaluation
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import LEADS_DEG, Combinations
 from passive_env.blockage import Stretches, blocked, blocked_next
@@ -562,8 +563,8 @@ class Recorder:
     def __getattr__(self, name):
         return getattr(self.sensors, name)
 
-    def acquire(self, tape):
-        self.kept.append(self.sensors.acquire(tape))
+    def acquire(self, *args):
+        self.kept.append(self.sensors.acquire(*args))
         return self.kept[-1]
 
     def sense(self, *args):
@@ -574,7 +575,7 @@ class Recorder:
 class Replayer(Recorder):
     """Sensors that give what was kept: the same to the operator, with another truth behind it."""
 
-    def acquire(self, tape):
+    def acquire(self, *args):
         sightings, times = self.kept.pop(0)
         return [other_truth(sighting) for sighting in sightings], times
 
@@ -603,7 +604,7 @@ def test_observations_do_not_change_when_the_truth_behind_the_same_echoes_does(m
     for a, b in zip(ours, theirs, strict=True):
         assert not np.array_equal(a.truth, b.truth)
         assert np.array_equal(first.observe(a), second.observe(b))
-        map_rows(np.testing.assert_array_equal, first.belief(a)[:-1], second.belief(b)[:-1])
+        map_rows(np.testing.assert_array_equal, first.belief(a), second.belief(b))
     assert not np.array_equal(ours[-1].metrics.position_error_m, theirs[-1].metrics.position_error_m)
 
 
@@ -898,7 +899,8 @@ BAD = [
     ({"course": "flights", "maneuvers": True}, "maneuvers = True: is not used with course='flights'"),
     ({"course": "flights", "steps": 10_000}, "no flight"),
     ({"standoff_m": 6e3}, "may start 5000 m from the receiver"),
-    ({"tracker": "kalman"}, "must be one of 'ekf', 'ekf_literal'"),
+    ({"standoff_m": 5e3, "sites": "paper_good"}, "may start 0 m from the receiver"),
+    ({"tracker": "kalman"}, "must be one of 'ekf', 'ekf_second_order', 'ekf_literal'"),
     ({"site_range_min_m": 2e5}, "site_range_min_m"),
     ({"range_sum_std_m": 0.0}, "range_sum_std_m"),
 ]
@@ -956,3 +958,40 @@ def test_scans_without_an_echo_let_the_track_coast():
 def test_every_field_has_a_rule():
     for field in dataclasses.fields(PassiveRadar):
         assert field.metadata.get("doc"), field.name
+
+
+# ------------------------------------------------------------------------------------------------------- evaluation
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_evaluations_tell_level_and_height_errors_and_those_of_settled_tracks(dimensions, tmp_path):
+    scenario = make_scenario(NAME, {"steps": 60, "dimensions": dimensions})
+    record = fly(scenario, make_policy("round_robin", scenario), 3, 5)
+    env = PassiveVectorEnv(scenario, num_envs=3)
+    observation, _ = env.reset(seed=5)
+    policy, level, height = make_policy("round_robin", scenario), [], []
+    policy.reset(env.belief())
+    for _ in range(60):
+        belief = env.belief()
+        env.step(env.simulation.actions.encode(policy.act(belief, observation), belief))
+        off = env.world.estimate.mean[:, 0] - env.world.truth[:, 0]
+        level.append(np.hypot(off[:, 0], off[:, 1]))
+        height.append(np.abs(off[:, 2]))
+    samples = record.samples
+    np.testing.assert_allclose(samples["mean_horizontal_error_m"], np.mean(level, axis=0), rtol=1e-9)
+    np.testing.assert_allclose(samples["settled_horizontal_error_m"], np.mean(level[50:], axis=0), rtol=1e-9)
+    assert ("mean_height_error_m" in samples) == (dimensions == 3)
+    if dimensions == 3:
+        np.testing.assert_allclose(samples["mean_height_error_m"], np.mean(height, axis=0), rtol=1e-9)
+    summary = summarize(f"passive/{NAME}-v0", 5, {"round_robin": record, "twin": record})
+    table = as_markdown(summary)
+    assert "settled" in table
+    assert "first 50 s" in table
+    assert ("height average" in table) == (dimensions == 3)
+    files = {file.name for file in write_evaluation(tmp_path, summary, {"round_robin": record}, scenario)}
+    assert "maneuvers.png" not in files  # the receiver stands
+
+
+def test_short_episodes_have_no_settled_tracks():
+    scenario = make_scenario(NAME, {"steps": 30})
+    assert "settled_horizontal_error_m" not in fly(scenario, make_policy("rule", scenario), 2, 1).samples

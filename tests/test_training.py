@@ -22,7 +22,7 @@ from agents.learned import LearnedPolicy, load_model, read_config
 from agents.policy import Policy
 from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
-from agents.training import CHECKPOINT, Run, plan, train
+from agents.training import CHECKPOINT, TRAINING, Run, plan, train
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.catalogue.two_station import TwoStation
 from passive_env.core import Simulation
@@ -88,7 +88,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 
 def test_a_run_leaves_model_configuration_checkpoint_and_tensorboard_logs(finished):
     names = {path.name for path in finished.folder.iterdir()}
-    assert names == {"config.json", "model.zip", CHECKPOINT, "tensorboard"}
+    assert names == {"config.json", "model.zip", CHECKPOINT, TRAINING, "tensorboard"}
     assert list((finished.folder / "tensorboard").rglob("events.out.tfevents.*"))
     config = json.loads((finished.folder / "config.json").read_text())
     assert (config["environment"], config["algo"], config["seed"]) == (ID, "ppo", 3)

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 from agents.files import write_json, write_text
 from agents.presets import load_preset
+from agents.provenance import processor_name, versions
 from agents.reproduction.report import markdown_table
-from agents.training import versions
 from trackers.compiled import available_cores
 
 COMPARISONS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt}
@@ -69,14 +69,6 @@ def machine(quick: bool) -> dict[str, Any]:
         **versions(),
         **{name: version for name, version in rivals.items() if version},
     }
-
-
-def processor_name() -> str:
-    """The processor's own name for itself, where the system tells it."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.lower().startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def _version(name: str) -> str | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from agents.reproduction.angle_fusion import print_angle_fusion, reproduce_angle_fusion
-from agents.reproduction.imm_mie import print_imm_mie, reproduce_imm_mie
-from agents.reproduction.passive_radar import print_passive_radar, reproduce_passive_radar
-from agents.reproduction.radar_placement import print_radar_placement, reproduce_radar_placement
-from agents.reproduction.two_station import print_report, reproduce_two_station
+from agents.reproduction.angle_fusion import ANGLE_FUSION, print_angle_fusion, reproduce_angle_fusion
+from agents.reproduction.imm_mie import IMM_MIE, print_imm_mie, reproduce_imm_mie
+from agents.reproduction.passive_radar import PASSIVE_RADAR, print_passive_radar, reproduce_passive_radar
+from agents.reproduction.radar_placement import RADAR_PLACEMENT, print_radar_placement, reproduce_radar_placement
+from agents.reproduction.two_station import TWO_STATION, print_report, reproduce_two_station
 
 __all__ = [
+    "PAPERS",
     "print_angle_fusion",
     "print_imm_mie",
     "print_passive_radar",
@@ -20,3 +21,6 @@ __all__ = [
     "reproduce_radar_placement",
     "reproduce_two_station",
 ]
+
+PAPERS = {paper.name: paper for paper in (TWO_STATION, ANGLE_FUSION, IMM_MIE, RADAR_PLACEMENT, PASSIVE_RADAR)}
+"""All papers by name."""

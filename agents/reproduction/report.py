@@ -2,16 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from agents.files import make_folder, save_figure, write_json, write_text
 
 REPRODUCED, NOT_REPRODUCED, NOT_TESTABLE = VERDICTS = ("reproduced", "not reproduced", "not testable")
+
+RESULT = "reproduction.json"
+
+
+class Paper(NamedTuple):
+    """How a paper is repeated and told.
+
+    Attributes:
+        name: on the command line, and of its folder.
+        subject: a heading, in ASCII.
+        reproduce: runs, seeds and out (a folder or None) to the result: plain data with paper, settings and claims.
+        sections: result to text per head, the tables.
+        sources: what the claims' sources mean.
+        note: said beside what was run, such as units.
+    """
+
+    name: str
+    subject: str
+    reproduce: Callable[..., dict[str, Any]]
+    sections: Callable[[Mapping[str, Any]], dict[str, str]]
+    sources: str
+    note: str = ""
+
+    def words(self, result: Mapping[str, Any]) -> str:
+        """The whole result as text (Markdown)."""
+        return document(result, self.sections(result), self.note)
 
 
 def prepare(runs: int, seeds: Sequence[int], out: Path | None) -> None:
@@ -36,11 +63,31 @@ def document(result: Mapping[str, Any], sections: Mapping[str, str], note: str =
         sections: text per head.
         note: said beside what was run, such as units.
     """
-    settings, claims = result["settings"], result["claims"]
-    title = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
+    claims = result["claims"]
     judged = {"Claims": verdict_line(claims) + "\n\n" + claims_table(claims)}
-    body = "\n\n".join(f"## {head}\n\n{text}" for head, text in {**sections, **judged}.items())
-    return f"# {result['paper']}\n\n{' '.join(filter(None, (title, note)))}\n\n{body}"
+    return f"# {result['paper']}\n\n{settings_line(result, note)}\n\n{chapters({**sections, **judged}, 2)}"
+
+
+def settings_line(result: Mapping[str, Any], note: str = "") -> str:
+    """What was run, and a note."""
+    settings = result["settings"]
+    line = f"{settings['runs']} runs for each of the seeds {', '.join(map(str, settings['seeds']))}."
+    return " ".join(filter(None, (line, note)))
+
+
+def chapters(texts: Mapping[str, str], level: int) -> str:
+    """Texts below their headings of one level (Markdown)."""
+    return "\n\n".join(f"{'#' * level} {head}\n\n{text}" for head, text in texts.items())
+
+
+def pictures_words(pictures: Mapping[str, str], folder: str = "") -> str:
+    """Pictures (Markdown): what each shows by file name, in a folder given with its '/'."""
+    return "\n\n".join(f"![{_bare(shown)}]({folder}{name})" for name, shown in pictures.items())
+
+
+def _bare(text: str) -> str:
+    """Text without the brackets that end a picture's description in Markdown."""
+    return text.replace("[", "(").replace("]", ")")
 
 
 def claim(source: str, text: str, paper: Any, ours: Any, verdict: str | bool, interval: Any = None) -> dict[str, Any]:
@@ -91,28 +138,59 @@ def words(value: Any) -> str:
     return str(value)
 
 
+CLAIM_HEADER = ("source", "claim", "paper", "ours", "95 % interval", "verdict")
+
+
 def claims_table(claims: Sequence[Mapping[str, Any]]) -> str:
     """All claims as a Markdown table."""
-    header = ("source", "claim", "paper", "ours", "95 % interval", "verdict")
-    rows = [
-        (c["source"], c["claim"], c["paper"], c["ours"], _interval_words(c["interval"]), c["verdict"]) for c in claims
-    ]
-    return markdown_table(header, rows)
+    return markdown_table(CLAIM_HEADER, map(claim_cells, claims))
+
+
+def claim_cells(c: Mapping[str, Any]) -> tuple[Any, ...]:
+    """A claim's row below `CLAIM_HEADER`."""
+    return (c["source"], c["claim"], c["paper"], c["ours"], _interval_words(c["interval"]), c["verdict"])
 
 
 def verdict_line(claims: Sequence[Mapping[str, Any]]) -> str:
     """How many claims got which verdict."""
-    counts = {verdict: sum(c["verdict"] == verdict for c in claims) for verdict in VERDICTS}
+    counts = verdict_counts(claims)
     return f"{len(claims)} claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
 
 
+def verdict_counts(claims: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """Number of claims by verdict."""
+    return {verdict: sum(c["verdict"] == verdict for c in claims) for verdict in VERDICTS}
+
+
 def write_reproduction(out: Path, result: Mapping[str, Any], text: str, figures: Mapping[str, Figure]) -> list[Path]:
-    """Write `reproduction.json`, `reproduction.md` and one PNG per figure into a folder; returns the paths."""
+    """Write one PNG per figure, `reproduction.md` and, last, `reproduction.json` into a folder; returns the paths.
+
+    The JSON holds the result and, by file name, what the pictures show.
+    """
     paths = [save_figure(out / f"{name}.png", figure) for name, figure in figures.items()]
-    pictures = "\n\n".join(f"![{name}]({name}.png)" for name in figures)
-    paths.append(write_text(out / "reproduction.md", f"{text}\n\n## Pictures\n\n{pictures}"))
-    paths.append(write_json(out / "reproduction.json", result))
+    pictures = {f"{name}.png": described(figure) for name, figure in figures.items()}
+    paths.append(write_text(out / "reproduction.md", f"{text}\n\n## Pictures\n\n{pictures_words(pictures)}"))
+    paths.append(write_json(out / RESULT, {**result, "pictures": pictures}))
     return paths
+
+
+def described(figure: Figure) -> str:
+    """What a figure shows in words, for those who cannot see it: titles, axes, curves."""
+    title = figure.get_suptitle()
+    panels = [_panel_words(axes) for axes in figure.axes]
+    curves = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    return ". ".join(filter(None, (title, *panels, f"Curves: {'; '.join(curves)}" if curves else "")))
+
+
+def _panel_words(axes: Axes) -> str:
+    """A panel's title, 'what over what', and its legend; a color bar's quantity."""
+    title, across, up = axes.get_title() or axes.get_title("left"), axes.get_xlabel(), axes.get_ylabel()
+    if axes.get_label() == "<colorbar>":
+        return f"Color: {up or across}"
+    quantities = " over ".join(filter(None, (up, across)))
+    legend = axes.get_legend()
+    curves = "; ".join(text.get_text() for text in legend.get_texts()) if legend else ""
+    return ": ".join(filter(None, (title, quantities))) + (f" (curves: {curves})" if curves else "")
 
 
 def _interval_words(interval: Any) -> str:

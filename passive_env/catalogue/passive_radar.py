@@ -58,7 +58,7 @@ class PassiveRadar(TrackingScenario):
     """A receiver hears, per scan, the echoes of some transmitters of a pool; from their range sums a target is tracked.
 
     Drawn per episode, uniformly (sites "random"): azimuth, distance and height of every transmitter about the
-    receiver, which is the origin; the target's corridor, a straight line whose direction, distance from the receiver
+    receiver, which is the origin then; the target's corridor, a straight line whose direction, distance from the origin
     and point of entry are drawn, and its speed. White accelerations disturb its flight; with ``maneuvers`` it also
     turns and changes its speed, now and then. Course "paper" is the paper's, "flights" recorded aircraft that enter
     the corridor. An echo is missed with a probability (1 − ``echo_probability``), and every transmitter is blocked for
@@ -69,9 +69,9 @@ class PassiveRadar(TrackingScenario):
 
     Action: a score per transmitter, the ``channels`` highest are listened to (of equal ones the first); before them,
     where the receiver moves (``receiver_speed_m_s``), its turn, or with actions "headings" the heading to turn to off
-    the line of sight. Discrete: the number of a combination of transmitters, in lexicographic order, where the receiver
-    moves after one of eleven courses off lead pursuit. A newly chosen transmitter's echo comes ``retune_delay_s`` after
-    the choice at the earliest.
+    the line of sight. Discrete: the number of a combination of transmitters, in lexicographic order; before it, where
+    the receiver moves, that of one of eleven courses off lead pursuit. A newly chosen transmitter's echo comes
+    ``retune_delay_s`` after the choice at the earliest.
     Observation: `passive_env.radar_observation.RadarObservation`.
     info: besides what every environment shows ``position_crlb_m, horizontal_error_m, horizontal_crlb_m,
         height_error_m, height_crlb_m, maneuver``, each [1], and ``chosen, answered, missed, blocked`` (the truth),
@@ -96,6 +96,8 @@ class PassiveRadar(TrackingScenario):
     )
 
     sight: ClassVar[tuple[str, ...]] = ("promised_scans", "durations_known")
+    settled_s: ClassVar[float] = 50.0
+    """Time after which evaluations take a track to have settled."""
     range_floor_m: ClassVar[float] = 0.0
     range_cap_m: ClassVar[float] = math.inf
     """Ranges are measured: the tracker needs no prior of them."""
@@ -136,9 +138,9 @@ class PassiveRadar(TrackingScenario):
         1.0, 0.0, 50.0, "white level acceleration per axis, of drawn targets and tracker"
     )
     climb_noise_m_s2: float = number(0.1, 0.0, 50.0, "the same of the vertical one")
-    tracker: Any = free("ekf", f"{' or '.join(RANGE_SUM_TRACKERS)}, or an object with the tracker contract")
+    tracker: Any = free("ekf", f"{', '.join(RANGE_SUM_TRACKERS)}, or an object with the tracker contract")
     corridor_offset_min_m: float = number(
-        5e3, 0.0, 1e6, "least drawn distance of the target's corridor from the receiver"
+        5e3, 0.0, 1e6, "least drawn distance of the target's corridor from the origin"
     )
     corridor_offset_max_m: float = number(60e3, 0.0, 1e6, "largest")
     corridor_start_min_m: float = number(0.0, 0.0, 1e6, "least drawn way to the corridor's nearest point at first")
@@ -157,9 +159,11 @@ class PassiveRadar(TrackingScenario):
     maneuver_min_s: float = number(5.0, 1.0, 1e5, "shortest turn")
     maneuver_max_s: float = number(20.0, 1.0, 1e5, "longest turn or change of speed")
     lost_error_m: float = number(3e3, 1.0, 1e6, "a track is lost if farther off than this …")
-    lost_nees: float = number(27.9, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 6 degrees)")
+    lost_nees: float = number(27.9, 1.0, 1e9, "… and its NEES exceeds this (99.99 % of χ² with 6 degrees, as in space)")
     actions: str = choice(
-        "continuous", ("continuous", "headings", "discrete"), "Box of scores and a turn or heading, or combinations"
+        "continuous",
+        ("continuous", "headings", "discrete"),
+        "Box of scores and a turn or heading, or combinations and courses off lead pursuit",
     )
     promised_scans: int = integer(
         0, 0, 100, "the error that each combination promises if it is kept for so many scans is observed; 0: it is not"
@@ -236,8 +240,11 @@ class PassiveRadar(TrackingScenario):
     def _nearest_m(self) -> float:
         """Lower limit of the target's level distance from the receiver at first."""
         if self.course == "paper":
-            return math.hypot(*PAPER_TARGET[:2])
-        return math.hypot(self.corridor_offset_min_m, self.corridor_start_min_m)
+            nearest = math.hypot(*PAPER_TARGET[:2])
+        else:
+            nearest = math.hypot(self.corridor_offset_min_m, self.corridor_start_min_m)
+        aside = 0.0 if self._layout is None else math.hypot(*self._layout[0, :2])
+        return max(nearest - aside, 0.0)
 
     @cached_property
     def pool(self) -> int:
@@ -251,7 +258,7 @@ class PassiveRadar(TrackingScenario):
 
     @property
     def moves(self) -> bool:
-        """Whether the receiver moves, and its turn leads the action."""
+        """Whether the receiver moves, and its turn or course leads the action."""
         return self.receiver_speed_m_s > 0.0
 
     @cached_property

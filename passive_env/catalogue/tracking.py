@@ -52,6 +52,11 @@ class TrackingScenario(CourseScenario, ABC):
             raise self._error("range_floor_m", f"must lie below range_cap_m = {self.range_cap_m}")
         self.make_tracker()
 
+    @property
+    def moves(self) -> bool:
+        """Whether platforms move."""
+        return True
+
     def make_tracker(self) -> Any:
         """The tracker object; a name is made with this scenario's settings.
 

@@ -46,10 +46,10 @@ from agents.reproduction.passive_radar.monte_carlo import (
     paper_maneuver,
 )
 from agents.reproduction.passive_radar.pictures import all_pictures
-from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
+from agents.reproduction.report import Paper, markdown_table, prepare, write_reproduction
 from trackers import RangeSumEkf
 
-__all__ = ["print_passive_radar", "reproduce_passive_radar", "run_trials"]
+__all__ = ["PASSIVE_RADAR", "print_passive_radar", "reproduce_passive_radar", "run_trials"]
 
 LOOSE_CLIMB = gaussian(GUESS, [20e3, 20e3, 20e3, 200.0, 200.0, 100.0])
 """P₀ with which the plain filter's height diverges."""
@@ -181,6 +181,11 @@ def _together(parts: Sequence[Flights]) -> Flights:
 
 def print_passive_radar(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_passive_radar` as text (Markdown)."""
+    return PASSIVE_RADAR.words(result)
+
+
+def _sections(result: Mapping[str, Any]) -> dict[str, str]:
+    """The tables: text per head."""
     header = ("followed by", *(f"{s} s" for s in SHOWN_S))
     sections = {
         f"Layout {name}, horizontal RMS [m]": markdown_table(header, [(way, *row) for way, row in rows.items()])
@@ -194,4 +199,16 @@ def print_passive_radar(result: Mapping[str, Any]) -> str:
     sections["True or ghost"] = markdown_table(
         ("start", "converged", "on the side of det H", "at the nearer solution", "of"), starts
     )
-    return document(result, sections)
+    return sections
+
+
+PASSIVE_RADAR = Paper(
+    "passive-radar",
+    "Range sums of passive radar (Xu and Wang 2009)",
+    reproduce_passive_radar,
+    _sections,
+    (
+        "3.1 and 3.2 are the paper's own sections; the others are the specification's, which holds what the "
+        "paper claims beside what was computed."
+    ),
+)

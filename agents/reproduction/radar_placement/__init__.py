@@ -13,7 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from agents.reproduction.radar_placement.claims import PAIRS, SINGLE, STUDIED, THEORY_M, Trials, all_claims
+from agents.reproduction.radar_placement.claims import (
+    MONTE_CARLO,
+    PAIRS,
+    SINGLE,
+    STUDIED,
+    THEORY,
+    THEORY_M,
+    Trials,
+    all_claims,
+)
 from agents.reproduction.radar_placement.pictures import all_pictures
 from agents.reproduction.radar_placement.scenario import (
     Runs,
@@ -24,10 +33,10 @@ from agents.reproduction.radar_placement.scenario import (
     pair,
     ring,
 )
-from agents.reproduction.report import document, markdown_table, prepare, write_reproduction
+from agents.reproduction.report import Paper, markdown_table, prepare, write_reproduction
 from trackers.converted_episode import LINEARISATIONS
 
-__all__ = ["print_radar_placement", "reproduce_radar_placement", "run_trials"]
+__all__ = ["RADAR_PLACEMENT", "print_radar_placement", "reproduce_radar_placement", "run_trials"]
 
 
 def reproduce_radar_placement(
@@ -86,12 +95,26 @@ def run_trials(runs: int, seeds: Sequence[int]) -> Trials:
 
 def print_radar_placement(result: Mapping[str, Any]) -> str:
     """The result of `reproduce_radar_placement` as text (Markdown)."""
-    layouts = [(name, found["theory"], found["monte_carlo"]) for name, found in result["layouts"].items()]
-    sections = {
-        "Two radars": markdown_table(("layout", "theory", "Monte Carlo"), layouts),
+    return RADAR_PLACEMENT.words(result)
+
+
+def _sections(result: Mapping[str, Any]) -> dict[str, str]:
+    """The tables: text per head."""
+    return {
+        "Two radars": _pair_words(result),
         "Where bias and R are evaluated": _linearisation_words(result),
     }
-    return document(result, sections)
+
+
+def _pair_words(result: Mapping[str, Any]) -> str:
+    """One row per layout: ratio of the position error to one radar's, the specification's beside ours."""
+    told = {place: ratio for rows in THEORY.values() for place, ratio in rows}
+    header = ("layout", "theory, specification", "theory, ours", "Monte Carlo, specification", "Monte Carlo, ours")
+    rows = [
+        (name, told[PAIRS[name]], found["theory"], MONTE_CARLO[name], found["monte_carlo"])
+        for name, found in result["layouts"].items()
+    ]
+    return "Position error over one radar's:\n\n" + markdown_table(header, rows)
 
 
 def _linearisation_words(result: Mapping[str, Any]) -> str:
@@ -101,3 +124,15 @@ def _linearisation_words(result: Mapping[str, Any]) -> str:
         for name, found in result["linearisations"].items()
     ]
     return "Position RMSE [m] of the last ten scans (NEES, ideal 6):\n\n" + markdown_table(("at", *STUDIED), rows)
+
+
+RADAR_PLACEMENT = Paper(
+    "radar-placement",
+    "Where to put two radars (Yang et al. 1998)",
+    reproduce_radar_placement,
+    _sections,
+    (
+        "Those that begin with 'paper' are the paper's own sections; the others are the specification's, "
+        "whose numbers are computed."
+    ),
+)

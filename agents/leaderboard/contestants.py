@@ -1,0 +1,168 @@
+"""Who takes part: the policies of an environment, what kind each is of, and what tells two of one name apart."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agents.evaluation import unique_names
+from agents.learned import CONFIG, MODEL, open_policy
+from agents.packed import SUFFIX, is_packed
+from agents.policy import Policy, make_policy, policy_names
+from agents.pretrained import PRETRAINED, card, load_pretrained, pretrained_ids
+from passive_env.catalogue import environment_id, make_scenario, scenario_name
+
+_NAMES: dict[str, tuple[str, ...]] = {
+    "fixed": (
+        "paper", "paper_opposed", "paper_co_located", "paper_90", "fixed", "best_fixed", "straight", "random", "even",
+        "tripod", "round_robin",
+    ),
+    "rule": (
+        "rule", "rule_tuned", "rule_perpendicular", "rule_average", "rule_60", "rule_bend", "rule_best", "rule_static",
+        "perpendicular", "lead_lag", "split", "open", "angle", "triangle", "nearest", "repeat", "hold", "pursuit",
+        "timed_pursuit",
+    ),
+    "greedy": (
+        "greedy", "greedy_1", "greedy_4", "greedy_after_rule", "greedy_after_optimizer", "skip", "bayes", "hysteresis",
+        "hold10", "timed", "timed10",
+    ),
+    "planner": ("planner", "optimizer"),
+    "learned": (PRETRAINED,),
+    "oracle": ("oracle", "hindsight"),
+}  # fmt: skip
+KINDS = tuple(_NAMES)
+"""Kinds of policies, in the order in which they are flown: what decides quickly comes first. A fixed one looks at
+nothing but the time, or only once; a rule is a formula of the belief; a greedy one weighs the next decision, a planner
+several or all of them; an oracle knows the truth."""
+
+KIND_OF: dict[str, str] = {name: kind for kind, names in _NAMES.items() for name in names}
+"""Kind of every policy that is known by name."""
+
+ESSENTIAL = (
+    "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "timed", "hysteresis", "timed10", "pursuit",
+    "timed_pursuit",
+)  # fmt: skip
+"""Policies flown beside the reference geometry and learned ones where not the policies but the trackers, or the
+circumstances, are compared."""
+
+REFERENCES = ("paper", "fixed", "straight")
+"""Reference geometries, the first one offered counts."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A policy that takes part.
+
+    Attributes:
+        name: in tables.
+        kind: one of `KINDS`.
+        make: (scenario) → policy.
+        identity: of the file a learned one was loaded from; empty for those that are code only.
+    """
+
+    name: str
+    kind: str
+    make: Callable[[Any], Policy]
+    identity: str = ""
+
+
+def known_policies(scenario: Any) -> list[Contestant]:
+    """All that a scenario offers by name, the quick ones first.
+
+    Raises:
+        ValueError: a policy whose kind nobody has said.
+    """
+    found = [_known(name, scenario) for name in policy_names(scenario)]
+    return sorted(found, key=lambda one: KINDS.index(one.kind))
+
+
+def _known(name: str, scenario: Any) -> Contestant:
+    if name not in KIND_OF:
+        raise ValueError(f"policy {name!r} has no kind: name it in {__name__}, one of {', '.join(KINDS)}")
+    return Contestant(name, KIND_OF[name], lambda chosen: make_policy(name, chosen))
+
+
+def learned_policies(environment: str, runs: Sequence[str | Path]) -> list[Contestant]:
+    """The policy that comes with the package, if one does, and those of runs or packed files: learned, learned_2, …
+
+    Raises:
+        FileNotFoundError, ValueError: no run folder or packed file, or a model of another environment.
+    """
+    names = unique_names(["learned"] * len(runs))
+    found = [_pretrained(environment)] if environment in pretrained_ids() else []
+    return found + [_learned(name, Path(run), environment) for name, run in zip(names, runs, strict=True)]
+
+
+def _pretrained(environment: str) -> Contestant:
+    identity = _digest(card(environment).with_suffix(SUFFIX))
+    return Contestant(PRETRAINED, "learned", lambda scenario: load_pretrained(environment, scenario), identity)
+
+
+def _learned(name: str, run: Path, environment: str) -> Contestant:
+    def make(scenario: Any) -> Policy:
+        return open_policy(run, environment, scenario.make_simulation())
+
+    make(make_scenario(environment, {}))  # a bad one must fail before anything is flown
+    files = [run] if is_packed(run) else [run / CONFIG, run / MODEL]
+    return Contestant(name, "learned", make, _digest(*files))
+
+
+def _digest(*files: Path) -> str:
+    """Fingerprint of what a model was loaded from."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def run_folders(texts: Sequence[str], environments: Sequence[str]) -> dict[str, list[str]]:
+    """Run folders and packed files per environment id, from ``ENV=RUN`` as on a command line.
+
+    Raises:
+        ValueError: no equals sign, an unknown environment, or one that takes no part.
+    """
+    folders: dict[str, list[str]] = {}
+    for text in texts:
+        name, equals, folder = text.partition("=")
+        if not (equals and name and folder):
+            raise ValueError(f"--runs {text!r}: must be an environment and its run folder or packed file, ENV=RUN")
+        environment = environment_id(scenario_name(name))
+        if environment not in environments:
+            raise ValueError(f"--runs {text!r}: {environment} takes no part; name it after --envs")
+        folders.setdefault(environment, []).append(folder)
+    return folders
+
+
+def chosen(field: Sequence[Contestant], names: Sequence[str]) -> list[Contestant]:
+    """Those of these names; all where none is named. What was given as a run always takes part."""
+    return [one for one in field if not names or one.name in names or one.name not in KIND_OF]
+
+
+def check_names(names: Sequence[str], fields: Mapping[str, Sequence[Contestant]]) -> None:
+    """Refuse a name that no environment offers.
+
+    Raises:
+        ValueError: naming it and what there is.
+    """
+    offered = sorted({one.name for field in fields.values() for one in field})
+    for name in names:
+        if name not in offered:
+            raise ValueError(f"--policies {name!r}: no environment offers it; known are {', '.join(offered)}")
+
+
+def essential(field: Sequence[Contestant]) -> list[Contestant]:
+    """The reference geometry, the usual rules and greedy ones, and everything learned."""
+    offered = {one.name for one in field}
+    reference = next((name for name in REFERENCES if name in offered), "")
+    return [one for one in field if one.kind == "learned" or one.name in (reference, *ESSENTIAL)]
+
+
+def unfit(one: Contestant, scenario: Any) -> str:
+    """Why a learned policy cannot fly a scenario; empty if it can."""
+    if one.kind != "learned":
+        return ""
+    try:
+        one.make(scenario)
+    except ValueError as error:
+        return str(error)
+    return ""

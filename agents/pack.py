@@ -1,0 +1,197 @@
+"""Packing a training run into one file without code, with a model card and the figures it reached.
+
+The packed policy is compared with the run's model action by action, flown beside the environment's rules and the greedy
+policy, and once more through the episodes of the record, which a test repeats.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.evaluation import BASELINES, Record, fly, fly_all, mean_interval, summarize
+from agents.files import write_json, write_text
+from agents.learned import (
+    MODEL,
+    ActorPolicy,
+    LearnedPolicy,
+    PackedPolicy,
+    load_model,
+    plain_actor,
+    read_config,
+    trained_interface,
+)
+from agents.model_card import card_as_markdown
+from agents.networks import describe
+from agents.packed import is_packed, write_packed
+from agents.policy import make_policy, policy_names
+from agents.training import commit, training_seconds, versions
+from passive_env.catalogue import environment_id, make_scenario, scenario_name
+
+EPISODES, SEED = 1000, 90_000_000
+"""Of the comparison; far from the seeds of trainings and of what settings were chosen by."""
+
+RECORD_EPISODES = 200
+"""Episodes of the record, the comparison's first seeds."""
+
+SEARCHES = ("greedy", "planner", "optimizer")
+RULES = tuple(name for name in BASELINES if name not in SEARCHES)
+LEARNED = "learned"
+
+SAME_WITHIN, COMPARED_STEPS = 1e-6, 64
+"""A packed policy's commands are the model's to this, in every step of so many episodes."""
+
+
+def pack(
+    run: Path, out: Path, evaluation: Path | None = None, episodes: int = EPISODES, seed: int = SEED,
+    progress: bool = True,
+) -> dict[str, Any]:  # fmt: skip
+    """Pack a run: FILE.npz, its model card FILE.md and its record FILE.json.
+
+    Args:
+        run: folder made by ``passive-env train``.
+        out: FILE.npz.
+        evaluation: an ``evaluation.json`` of this run as it was trained, with rules beside it; None: fly one now.
+        episodes, seed: of that evaluation, and `seed` of the record.
+    Returns:
+        what is written as FILE.json.
+    Raises:
+        FileNotFoundError, ValueError: no run, a network that cannot be packed, or an evaluation of something else.
+    """
+    if not is_packed(out):
+        raise ValueError(f"--out {out}: must be the name of a file that ends in .npz")
+    if episodes < 1 or seed < 0:
+        raise ValueError(f"--episodes {episodes} --seed {seed}: must be at least 1 and not negative")
+    config = read_config(run)
+    environment, fields = config["environment"], config.get("fields", {})
+    name = scenario_name(environment)
+    scenario = make_scenario(name, fields)
+    learned = LearnedPolicy(run, environment, scenario.make_simulation())
+    summary = None if evaluation is None else _read_evaluation(evaluation, environment, fields)
+    description = describe_run(run, config)
+    write_packed(out, *description)
+    packed = PackedPolicy(out, environment, scenario.make_simulation())
+    _check_same(out, scenario, packed, learned, seed)
+    if summary is None:
+        summary = _compared(name, scenario, packed, episodes, seed, progress)
+    record = {
+        "environment": environment,
+        "bytes": out.stat().st_size,
+        "trained": {key: value for key, value in packed.description.items() if key not in ("scenario", "preset")},
+        "recorded": recorded(fly(scenario, packed, RECORD_EPISODES, seed), seed, scenario),
+        "comparison": _shortened(summary),
+        "versions": versions(),
+        "commit": commit(),
+    }
+    write_json(out.with_suffix(".json"), record)
+    write_text(out.with_suffix(".md"), card_as_markdown(record, packed.description))
+    return record
+
+
+def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A run's description and arrays for `agents.packed.write_packed`.
+
+    Raises:
+        ValueError: a network that cannot be packed.
+    """
+    actor = plain_actor(load_model(run / MODEL, config["algo"]))
+    if actor is None:
+        raise ValueError(
+            f"{run}: a model of {config['algo']} with this network cannot be packed; what can be are feed-forward "
+            "networks of ppo, ppo_scratch and sac"
+        )
+    network, arrays = describe(actor)
+    trained = {"fields": {}, **config, "interface": trained_interface(dict(config))}
+    return trained | {"seconds": training_seconds(run), "network": network}, arrays
+
+
+def recorded(record: Record, seed: int, scenario: Any) -> dict[str, Any]:
+    """Figures of flown episodes by which they can be flown again and compared: means with bootstrap 95 % intervals."""
+    errors = {
+        name: {"mean": float(values.mean()), "ci95": mean_interval(values), "p95": float(np.percentile(values, 95.0))}
+        for name, values in record.samples.items()
+    }
+    return {
+        "seed": seed,
+        "episodes": len(record.final),
+        "score": record.score,
+        "errors": errors,
+        "lost_share": float(record.lost.mean()),
+        "scenario": scenario.to_dict(),
+    }
+
+
+def _check_same(out: Path, scenario: Any, packed: ActorPolicy, learned: ActorPolicy, seed: int) -> None:
+    """The packed policy's commands are the model's wherever the model flies."""
+    both = Both(packed, learned)
+    fly(scenario, both, COMPARED_STEPS, seed)
+    if not both.difference <= SAME_WITHIN:
+        raise ValueError(f"{out}: its commands differ from the model's by {both.difference:g}, more than {SAME_WITHIN}")
+
+
+class Both:
+    """Flies as one policy and remembers how far another's commands lie from its own."""
+
+    def __init__(self, flown: ActorPolicy, other: ActorPolicy):
+        self._flown, self._other, self.difference = flown, other, 0.0
+
+    def reset(self, belief: Any) -> None:
+        """Begin episodes."""
+        self._flown.reset(belief)
+        self._other.reset(belief)
+
+    def act(self, belief: Any, observation: np.ndarray) -> np.ndarray:
+        """Commands [e, a]."""
+        commands = self._flown.act(belief, observation)
+        distance = np.abs(commands - self._other.act(belief, observation))
+        self.difference = max(self.difference, float(distance.max(initial=0.0)))
+        return commands
+
+
+def _compared(name: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool) -> Any:
+    """Evaluation of the packed policy beside the rules and the greedy policy."""
+    beside = [known for known in policy_names(scenario) if known in RULES or known == "greedy"]
+    policies = {known: make_policy(known, scenario) for known in beside} | {LEARNED: packed}
+    return summarize(environment_id(name), seed, fly_all(scenario, policies, episodes, seed, progress))
+
+
+def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The summary in an evaluation's file.
+
+    Raises:
+        FileNotFoundError, ValueError: none, or of something else.
+    """
+    try:
+        summary = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"--evaluation {file}: is no valid JSON ({error})") from error
+    if not isinstance(summary, dict) or not {"environment", "policies", "ratios", "score"} <= summary.keys():
+        raise ValueError(f"--evaluation {file}: must be an evaluation.json of train or evaluate, of one tracker")
+    if (summary["environment"], summary.get("fields", {}), summary.get("flights")) != (environment, fields, None):
+        raise ValueError(
+            f"--evaluation {file}: is of {summary['environment']} with fields {summary.get('fields')} and flights "
+            f"{summary.get('flights')}, must be of {environment} with {dict(fields)}, as trained, and no flights"
+        )
+    if LEARNED not in summary["policies"] or not any(rule in summary["policies"] for rule in RULES):
+        raise ValueError(f"--evaluation {file}: must have the policies {LEARNED!r} and one of {', '.join(RULES)}")
+    return summary
+
+
+def _shortened(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of an evaluation: the learned policy, the strongest rule, the greedy policy, ratios to these."""
+    policies = summary["policies"]
+    final = f"final_{summary['score']}_error_m"
+    rule = min((name for name in RULES if name in policies), key=lambda name: policies[name][final]["mean"])
+    beside = [rule, *(name for name in ("greedy",) if name in policies)]
+    return {
+        "seed": summary["seed"],
+        "episodes": summary["episodes"],
+        "score": summary["score"],
+        "strongest_rule": rule,
+        "policies": {name: policies[name] for name in (*beside, LEARNED)},
+        "ratios": {name: summary["ratios"][name][LEARNED] for name in beside},
+    }
