@@ -898,6 +898,7 @@ BAD = [
     ({"retune_delay_s": -1.0}, "retune_delay_s"),
     ({"course": "flights", "maneuvers": True}, "maneuvers = True: is not used with course='flights'"),
     ({"course": "flights", "steps": 10_000}, "no flight"),
+    ({"sites": ((0, 0), (1e200, 0), (0, 1e200))}, "within 10000000 m of the origin"),
     ({"standoff_m": 6e3}, "may start 5000 m from the receiver"),
     ({"standoff_m": 5e3, "sites": "paper_good"}, "may start 0 m from the receiver"),
     ({"tracker": "kalman"}, "must be one of 'ekf', 'ekf_second_order', 'ekf_literal'"),

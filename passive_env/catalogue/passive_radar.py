@@ -49,6 +49,12 @@ PAPER_GUESS = (-80e3, 130e3, 8e3, 0.0, 0.0, 0.0)
 PAPER_GUESS_STD_M = 20e3
 """State at the first scan of the paper's track, and the guess with what it may be off, per level axis."""
 
+RESTART_STD_M, START_TURNING_M_S2 = 10e3, 1.0
+"""How far off a lost track is looked for, and the mean acceleration that a target may have had while its track started,
+where targets turn."""
+
+FARTHEST_SITE_M = 1e7
+
 LEAST_ANGLE_SIN = 1e-6
 """Sine of the angle between two sites' directions from the receiver below which they count as one line."""
 
@@ -216,6 +222,8 @@ class PassiveRadar(TrackingScenario):
             raise self._error("sites", f"must be 3 points or more of {self.dimensions} coordinates, the receiver first")
         if not np.isfinite(sites).all():
             raise self._error("sites", "every coordinate must be a finite number [m]")
+        if np.abs(sites).max() > FARTHEST_SITE_M:
+            raise self._error("sites", f"every coordinate must lie within {FARTHEST_SITE_M:.0f} m of the origin")
         if len(sites) > 17:
             raise self._error("sites", "must be a receiver and 16 transmitters at most")
         gaps = np.linalg.norm((sites[:, None] - sites)[..., :2], axis=-1) + np.eye(len(sites)) * 1e9
@@ -295,8 +303,11 @@ class PassiveRadar(TrackingScenario):
 
     @property
     def tracker_settings(self) -> dict[str, Any]:
-        """Keywords of the named tracker."""
-        return {"process_noise": self.process_noise}
+        """Keywords of the named tracker; the paper's own starts no track anew."""
+        turns = self.course == "flights" or self.maneuvers
+        restart = 0.0 if self.tracker == "ekf_literal" else RESTART_STD_M
+        turning = START_TURNING_M_S2 if turns else 0.0
+        return {"process_noise": self.process_noise, "restart_std_m": restart, "turning_m_s2": turning}
 
     def make_simulation(self) -> RadarSimulation:
         """The loop that runs this scenario's episodes."""
