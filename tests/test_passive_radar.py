@@ -21,7 +21,7 @@ from passive_env.kinematics import plan_view
 from passive_env.radar_sensors import NEVER_S
 from passive_env.render_radar import sum_ellipse
 from passive_env.steering import lead_pursuit
-from trackers import RangeSumEkf
+from trackers import RangeSumEkf, RangeSumEkfLiteral
 from trackers.angles import wrap
 from trackers.axis_motion import axis_noise, axis_transition
 from trackers.gaussian import Gaussian
@@ -528,7 +528,12 @@ def test_asking_those_who_are_likely_to_answer_beats_asking_the_same_pair():
 
 def test_settings_reach_the_tracker():
     scenario = make_scenario(NAME, {"process_noise_m_s2": 2.0, "climb_noise_m_s2": 0.5})
-    assert scenario.make_tracker() == RangeSumEkf(process_noise=(4.0, 4.0, 0.25))
+    noise = (4.0, 4.0, 0.25)
+    assert scenario.make_tracker() == RangeSumEkf(process_noise=noise, restart_std_m=10e3)
+    assert scenario.replace(tracker="ekf_literal").make_tracker() == RangeSumEkfLiteral(process_noise=noise)
+    for turns in ({"maneuvers": True}, {"course": "flights"}):
+        found = scenario.replace(**turns).make_tracker()
+        assert found == RangeSumEkf(process_noise=noise, restart_std_m=10e3, turning_m_s2=1.0)
 
 
 def test_rewards_are_their_formulas():
