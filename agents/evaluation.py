@@ -285,7 +285,13 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     if progress is not None:
         progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
-    state_size = env.world.truth.shape[-1]
+    special = _turns(turns) | _levels(levels, scenario)
+    return _block(instants, env, info) | special | {"seconds": seconds}
+
+
+def _block(instants: _Instant, env: PassiveVectorEnv, info: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's figures of all families, of episodes that have been flown to their end; info: the last step's."""
+    scenario, state_size = env.scenario, env.world.truth.shape[-1]
     collapsed = (info["position_error_m"] > COLLAPSE_M) | (info["nees"] > nees_scale(state_size).collapse)
     history = env.simulation.history(env.world)
     figures = {
@@ -298,8 +304,6 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
     return (
         position
         | scored
-        | _turns(turns)
-        | _levels(levels, scenario)
         | {
             "range_error_m": figures["range_error_m"].mean(-1),
             "range_crlb_m": figures["range_crlb_m"].mean(-1),
@@ -310,7 +314,6 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
             "turns": instants.turns[:, 1:],
             "standoff": (instants.standoff_violation[:, 1:] > 0.0).mean(-1),
             "nogo": (instants.nogo_violation[:, 1:] > 0.0).mean(-1),
-            "seconds": seconds,
             "state_size": state_size,
             "paths": paths,
         }
