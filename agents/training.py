@@ -28,6 +28,7 @@ from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
+from agents.mixture import JoinedVecEnv, recorded_environments
 from agents.policy import make_policy, policy_names
 from agents.presets import load_preset
 from agents.provenance import commit, versions
@@ -165,10 +166,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
         )
     torch.set_num_threads(run.preset.get("torch_threads", 1))
     clock = Clock(run.folder)
-    env = Sb3VecEnv(
-        PassiveVectorEnv(run.training_scenario, num_envs=run.envs, autoreset_mode="same_step"),
-        truth=run.asymmetric,
-    )
+    env = training_env(run)
     model = _load_checkpoint(run, env) if resume and (run.folder / CHECKPOINT).exists() else new_model(run, env)
     if not resume:
         write_json(run.folder / CONFIG, run.to_dict())
@@ -182,6 +180,27 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     clock.save()
     env.close()
     return run.folder / MODEL
+
+
+def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
+    """The environments to learn in; of a preset with a ``flights_share`` so many with recorded courses, the last ones.
+
+    A user who chooses the course has it in all of them.
+    """
+    scenario, share = run.training_scenario, run.preset.get("flights_share")
+    if share is None or "course" in run.fields:
+        return _vector_env(scenario, run.envs, run.asymmetric)
+    recorded = recorded_environments(run.envs, share)
+    return JoinedVecEnv(
+        [
+            _vector_env(scenario, run.envs - recorded, run.asymmetric),
+            _vector_env(scenario.replace(course="flights", flight_split="train"), recorded, run.asymmetric),
+        ]
+    )
+
+
+def _vector_env(scenario: Any, envs: int, truth: bool) -> Sb3VecEnv:
+    return Sb3VecEnv(PassiveVectorEnv(scenario, num_envs=envs, autoreset_mode="same_step"), truth=truth)
 
 
 def _flown(model: Any) -> BaseAlgorithm:
@@ -304,7 +323,7 @@ def rollout_steps(run: Run) -> int:
     return run.scenario.steps * run.envs
 
 
-def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+def new_model(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> BaseAlgorithm:
     """The model that a run begins with: untrained, with the preset's first action, or taught by its teacher."""
     preset = run.preset
     algorithm = ALGORITHMS[run.algo]
@@ -328,7 +347,7 @@ def new_model(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
     return model
 
 
-def _network(run: Run, env: Sb3VecEnv) -> tuple[Any, dict[str, Any]]:
+def _network(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> tuple[Any, dict[str, Any]]:
     """The policy's class, or its name, and settings that follow from the scenario."""
     if "network" in run.preset:
         return TransmitterPolicy, {"layout": network_settings(run.training_scenario, env.truth)}
@@ -371,7 +390,7 @@ class LinearDecay:
         return self.start * max(progress_remaining, 0.02)
 
 
-def _load_checkpoint(run: Run, env: Sb3VecEnv) -> BaseAlgorithm:
+def _load_checkpoint(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> BaseAlgorithm:
     model: Any = load_model(run.folder / CHECKPOINT, run.algo, env=env, device=run.device)
     quicken(model.policy)
     if not ALGORITHMS[run.algo].on_policy:
