@@ -56,7 +56,8 @@ class JoinedVecEnv(VecEnv):
             if self._seeds[begin] is not None:
                 part.seed(self._seeds[begin])
         self._reset_seeds()
-        return np.concatenate([part.reset() for part in self.parts])
+        observations: list[Any] = [part.reset() for part in self.parts]
+        return np.concatenate(observations)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Remember the actions."""
