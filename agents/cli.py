@@ -95,6 +95,8 @@ class Leaderboard:
     """Add the tables of trackers crossed with policies."""
     generalisation: bool = False
     """Add the tables of circumstances that learned policies were not trained in."""
+    confirm: int = 0
+    """Judge learned policies on so many further episodes, which did not choose the best rule; 0: on the same ones."""
     fields: tuple[str, ...] = ()
     """Scenario keywords of all environments named: NAME=VALUE …"""
     out: Path = Path("leaderboard")
@@ -208,7 +210,7 @@ def _leaderboard(c: Leaderboard) -> None:
     from agents.leaderboard import leaderboard
 
     leaderboard(
-        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.out,
+        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.confirm, c.out,
         parse_fields(c.fields),
     )  # fmt: skip
 

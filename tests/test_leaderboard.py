@@ -21,6 +21,7 @@ from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, e
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
 from agents.leaderboard.report import as_csv, as_markdown
 from agents.leaderboard.standings import interval, resample, standing, verdict
+from agents.leaderboard.tried import TRIED
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
 from agents.policy import make_policy, policy_names
@@ -623,6 +624,55 @@ def test_open_section_is_computed(run):
     assert "## Open" not in as_markdown(nothing_learned)
 
 
+def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeypatch, flights_of):
+    monkeypatch.setattr("agents.leaderboard.learned_policies", model_stand_in)
+    data = leaderboard(
+        ("TwoStation",), episodes=EPISODES, seed=SEED, confirm=2 * EPISODES, out=tmp_path, fields={"steps": STEPS},
+        progress=False,
+    )  # fmt: skip
+    for (_, entry), (_, before) in zip(entries(data), list(entries(run[1]))[:2], strict=True):
+        assert entry["policies"].keys() == before["policies"].keys()
+        best = {kind: entry["best"][kind] for kind in ("rule", "greedy")}
+        scenario = make_scenario("TwoStation", {"steps": STEPS})
+        if entry["course"] == "flights":
+            scenario = flown_by("TwoStation", HELD_OUT, {"steps": STEPS})
+        fresh = {
+            name: fly(scenario, make_policy(name, scenario), 2 * EPISODES, SEED + EPISODES) for name in best.values()
+        }
+        learned = fly(scenario, make_policy("greedy", scenario), 2 * EPISODES, SEED + EPISODES).outcomes
+        for each in entry["verdicts"]:
+            ours, other = learned.samples[each["metric"]], fresh[each["base"]].outcomes.samples[each["metric"]]
+            assert each["mean"]["ratio"] == pytest.approx(ours.mean() / other.mean(), rel=1e-12)
+            assert each["p95"]["ratio"] == pytest.approx(np.percentile(ours, 95) / np.percentile(other, 95), rel=1e-12)
+        assert {each["base"] for each in entry["verdicts"]} == set(best.values())
+        assert entry["verdicts"] != before["verdicts"]
+    assert f"--confirm {2 * EPISODES}" in data["about"]["command"]
+    text = as_markdown(data)
+    assert f"these ratios are of {2 * EPISODES} others" in text
+    assert "the same as here" in as_markdown(run[1])
+    flown = len(flights_of)
+    again = leaderboard(
+        ("TwoStation",), episodes=EPISODES, seed=SEED, confirm=2 * EPISODES, out=tmp_path, fields={"steps": STEPS},
+        progress=False,
+    )  # fmt: skip
+    assert len(flights_of) == flown
+    assert [entry["verdicts"] for _, entry in entries(again)] == [entry["verdicts"] for _, entry in entries(data)]
+
+
+def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
+    data = run[1]
+    assert "What was tried" not in as_markdown(data)
+    name = next(env for env, found in data["sections"]["leaderboard"].items() if any(e["verdicts"] for e in found))
+    monkeypatch.setattr("agents.leaderboard.report.TRIED", {name: "wider rollouts."})
+    found = any(each["open"] for _, entry in entries(data) for each in entry["verdicts"])
+    assert ("wider rollouts." in as_markdown(data)) == found
+    assert found
+
+
+def test_only_environments_are_said_to_have_been_tried():
+    assert set(TRIED) <= set(environment_ids())
+
+
 def test_tables_of_trackers_and_circumstances(run):
     _, data = run
     text = as_markdown(data)
@@ -735,6 +785,7 @@ def test_command_writes_prints_and_goes_on(tmp_path, capsys):
         (["--episodes", "1"], ["--episodes 1", "at least 2"]),
         (["--episodes", "-4"], ["--episodes -4"]),
         (["--seed", "-1"], ["--seed -1"]),
+        (["--confirm", "1"], ["--confirm 1", "at least 2"]),
         (["--runs", "runs/x"], ["--runs 'runs/x'", "ENV=RUN"]),
         (["--runs", "Ownship="], ["--runs 'Ownship='", "ENV=RUN"]),
         (["--runs", "Nowhere=runs/x"], ["'Nowhere'", "passive/Ownship-v0"]),

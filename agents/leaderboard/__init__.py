@@ -24,7 +24,7 @@ from agents.leaderboard.contestants import (
     unfit,
 )
 from agents.leaderboard.report import short_form, write_leaderboard
-from agents.leaderboard.standings import standing
+from agents.leaderboard.standings import confirmed, finalists, standing
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
 from agents.provenance import commit, processor_name, versions
@@ -59,7 +59,7 @@ class Table(NamedTuple):
 def leaderboard(
     envs: Sequence[str] = (), policies: Sequence[str] = (), runs: Sequence[str] = (), episodes: int = 500,
     seed: int = 90_000_000, flights: bool = True, trackers: bool = False, generalisation: bool = False,
-    out: Path = Path("leaderboard"), fields: dict[str, Any] | None = None, progress: bool = True,
+    confirm: int = 0, out: Path = Path("leaderboard"), fields: dict[str, Any] | None = None, progress: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
     """Fly what is missing, write the leaderboard and print its short form; returns its data.
 
@@ -70,23 +70,51 @@ def leaderboard(
             FileNotFoundError: no such run folder. All before anything is flown or written.
     """
     environments = _environments(envs)
-    _check(episodes, seed, fields or {})
+    _check(episodes, seed, confirm, fields or {})
     tables = _plan(environments, policies, runs, flights, trackers, generalisation, fields or {})
     make_folder(out)
     begin = time.perf_counter()
     cells = [[Cell(table.environment, table.scenario, one, episodes, seed) for one in table.field] for table in tables]
     flown = fly_cells([cell for row in cells for cell in row], out, progress)
-    command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, fields or {})
-    about = _about(episodes, seed, fields or {}) | {"command": command, "cells": dict(flown.states)}
+    command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, confirm, fields or {})
+    about = _about(episodes, seed, fields or {}) | {
+        "command": command, "cells": dict(flown.states), "confirm": confirm,
+    }  # fmt: skip
     data: dict[str, Any] = {"about": about, "sections": {}}
+    standings = []
     for table, row in zip(tables, cells, strict=True):
         outcomes = {cell.contestant.name: flown.outcomes[cell.digest] for cell in row}
         entry = {"title": table.title, "unfit": table.unfit} | standing(table.scenario, table.field, outcomes, seed)
         data["sections"].setdefault(table.section, {}).setdefault(table.environment, []).append(entry)
+        standings.append(entry)
+    if confirm:
+        _confirm(
+            [pair for pair in zip(tables, standings, strict=True) if pair[0].section == "leaderboard"],
+            confirm,
+            seed + episodes,
+            out,
+            progress,
+        )
     data["about"]["seconds"] = time.perf_counter() - begin
     write_leaderboard(out, data)
     print(f"{short_form(data)}\n\n{out}; cells: {flown}")
     return data
+
+
+def _confirm(
+    compared: Sequence[tuple[Table, dict[str, Any]]], episodes: int, seed: int, out: Path, progress: bool
+) -> None:
+    """Replace verdicts by those of fresh episodes: whoever was best by luck of the first ones is so no longer."""
+    fields = [finalists(table.field, entry["best"]) for table, entry in compared]
+    cells = [
+        [Cell(table.environment, table.scenario, one, episodes, seed) for one in field]
+        for (table, _), field in zip(compared, fields, strict=True)
+    ]
+    flown = fly_cells([cell for row in cells for cell in row], out, progress)
+    for (_, entry), field, row in zip(compared, fields, cells, strict=True):
+        outcomes = {cell.contestant.name: flown.outcomes[cell.digest] for cell in row}
+        if any(one.kind == "learned" for one in field):
+            entry["verdicts"] = confirmed(field, outcomes, entry["best"])
 
 
 def _environments(envs: Sequence[str]) -> list[str]:
@@ -95,9 +123,11 @@ def _environments(envs: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(named)) or environment_ids()
 
 
-def _check(episodes: int, seed: int, fields: dict[str, Any]) -> None:
+def _check(episodes: int, seed: int, confirm: int, fields: dict[str, Any]) -> None:
     if episodes < 2:
         raise ValueError(f"--episodes {episodes}: must be at least 2, or there are no intervals")
+    if confirm < 0 or confirm == 1:
+        raise ValueError(f"--confirm {confirm}: must be 0, or at least 2 episodes, or there are no intervals")
     if seed < 0:
         raise ValueError(f"--seed {seed}: must not be negative")
     for name in OWN_FIELDS:
@@ -173,7 +203,7 @@ def _varied(env: str, field: Sequence[Contestant], flights: bool, fields: dict[s
 
 def _command(
     envs: Sequence[str], policies: Sequence[str], runs: Sequence[str], episodes: int, seed: int, flights: bool,
-    trackers: bool, generalisation: bool, fields: dict[str, Any],
+    trackers: bool, generalisation: bool, confirm: int, fields: dict[str, Any],
 ) -> str:  # fmt: skip
     """What makes the same tables; of run folders only the names."""
     folders = ["=".join((name, Path(folder).name)) for name, _, folder in (text.partition("=") for text in runs)]
@@ -182,6 +212,7 @@ def _command(
     words = ["passive-env leaderboard", *(f"--{flag} {' '.join(values)}" for flag, values in listed.items() if values)]
     words += [f"--episodes {episodes} --seed {seed}", *(["--no-flights"] if not flights else [])]
     words += [f"--{flag}" for flag, on in {"trackers": trackers, "generalisation": generalisation}.items() if on]
+    words += [f"--confirm {confirm}"] if confirm else []
     return " ".join(words)
 
 

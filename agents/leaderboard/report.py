@@ -11,13 +11,13 @@ from typing import Any
 from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.leaderboard.pictures import overview
+from agents.leaderboard.standings import BASES
+from agents.leaderboard.tried import TRIED
 from agents.report import flatten, percent, table
 
 PICTURE = "leaderboard.png"
 SHORT_KINDS = ("greedy", "planner", "learned", "oracle")
 """Kinds whose best policy stands beside the reference in the short form."""
-BASES = ("rule", "greedy")
-"""Kinds whose best policy learned ones are compared with."""
 
 
 def write_leaderboard(out: Path, data: Mapping[str, Any]) -> list[Path]:
@@ -140,10 +140,13 @@ def _learned_part(data: Mapping[str, Any]) -> list[str]:
     rows = [_verdict_row(environment, entry, each) for environment, entry, each in _verdicts(data)]
     if not rows:
         return []
+    episodes = data["about"]["confirm"]
     note = (
         "Ahead: the interval of the ratio lies below 1; behind: above; level: it holds 1. Best means of least mean "
-        "error on these very episodes."
+        "error on the episodes above"
     )
+    again = f"; these ratios are of {episodes:,} others, whose seeds follow." if episodes else ", the same as here."
+    note += again
     return ["## Learned policies against the best rule and the best greedy one", note, "\n".join(table(_VERDICT, rows))]
 
 
@@ -157,7 +160,11 @@ def _open_part(data: Mapping[str, Any]) -> list[str]:
         f"{len(rows)} of {len(verdicts)} comparisons: the learned policy is behind on the mean, or not ahead on the "
         "95th percentile."
     )
-    return ["## Open", note, *(["\n".join(table(_VERDICT, rows))] if rows else [])]
+    environments = dict.fromkeys(environment for environment, _, each in verdicts if each["open"])
+    tried = [f"- {_short(name)}: {TRIED[name]}" for name in environments if name in TRIED]
+    parts = ["## Open", note, "\n".join(table(_VERDICT, rows)) if rows else ""]
+    parts += ["What was tried:", "\n".join(tried)] if tried else []
+    return [part for part in parts if part]
 
 
 _VERDICT = ["environment", "targets", "policy", "error", "against", "ratio of means", "mean", "ratio of p95", "p95"]

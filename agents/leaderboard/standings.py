@@ -25,6 +25,9 @@ not even half of the episodes have any), and the time average where every step c
 CHUNK = 1_000_000
 """Numbers resampled at once."""
 
+BASES = ("rule", "greedy")
+"""Kinds whose best policy learned ones are compared with."""
+
 VERDICTS = ("ahead", "level", "behind")
 """Whether the interval of a ratio lies below 1, holds it, or lies above."""
 
@@ -76,10 +79,7 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
         and the best greedy one.
     """
     first = outcomes[field[0].name]
-    policies = {one.name: {"kind": one.kind, **figures_of(outcomes[one.name])} for one in field}
-    head = {"score": first.score, "policies": policies}
-    metrics = metrics_of(head)
-    drawn = {one.name: {name: resample(outcomes[one.name].samples[name]) for name in metrics} for one in field}
+    policies, metrics, drawn = _figures(field, outcomes)
     for name, figures in policies.items():
         for metric in metrics:
             figures[metric]["ci95"] = interval(drawn[name][metric].mean)
@@ -103,6 +103,34 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
         "policies": policies,
         "verdicts": _verdicts(policies, drawn, best, metrics),
     }
+
+
+def confirmed(
+    field: Sequence[Contestant], outcomes: Mapping[str, Outcomes], best: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Verdicts from other episodes than those that chose the best rule and the best greedy policy.
+
+    Args:
+        field: `finalists` of the first comparison.
+        outcomes: theirs, by name.
+        best: policy of every kind, as the first comparison has it.
+    """
+    policies, metrics, drawn = _figures(field, outcomes)
+    return _verdicts(policies, drawn, best, metrics)
+
+
+def finalists(field: Sequence[Contestant], best: Mapping[str, str]) -> list[Contestant]:
+    """Everything learned, the best rule and the best greedy policy."""
+    named = [best.get(kind) for kind in BASES]
+    return [one for one in field if one.kind == "learned" or one.name in named]
+
+
+def _figures(field: Sequence[Contestant], outcomes: Mapping[str, Outcomes]) -> tuple[dict[str, Any], Any, Any]:
+    """Policies' figures, the errors that are compared, and resamples of these by policy and error."""
+    policies = {one.name: {"kind": one.kind, **figures_of(outcomes[one.name])} for one in field}
+    metrics = metrics_of({"score": outcomes[field[0].name].score, "policies": policies})
+    drawn = {one.name: {name: resample(outcomes[one.name].samples[name]) for name in metrics} for one in field}
+    return policies, metrics, drawn
 
 
 def _headline(scenario: Any, shares: Mapping[str, float]) -> str:
@@ -151,7 +179,7 @@ def _verdicts(policies: Any, drawn: Any, best: Mapping[str, str], metrics: Mappi
     """
     found = []
     for name in (name for name, figures in policies.items() if figures["kind"] == "learned"):
-        for base in (best[kind] for kind in ("rule", "greedy") if kind in best):
+        for base in (best[kind] for kind in BASES if kind in best):
             for metric in (each for each in metrics if each.endswith("_error_m")):
                 ratio = _ratio(policies, drawn, name, base, metric)
                 mean, p95 = (verdict(ratio[what]["ci95"]) for what in ("mean", "p95"))
