@@ -19,7 +19,7 @@ from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
 from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies, unfit
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
-from agents.leaderboard.report import as_csv, as_markdown
+from agents.leaderboard.report import _room, as_csv, as_markdown
 from agents.leaderboard.standings import interval, resample, standing, verdict
 from agents.leaderboard.tried import TRIED
 from agents.leaderboard.variations import VARIATIONS
@@ -669,6 +669,13 @@ def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
     assert found
 
 
+def test_room_is_the_oracles_ratio():
+    entry = table_of(rule__a=np.full(40, 8.0), oracle__c=np.full(40, 6.0), learned__d=np.full(40, 7.0))
+    metric = next(iter(entry["metrics"]))
+    assert _room(entry, "a", metric) == "0.750"
+    assert _room(table_of(rule__a=np.full(40, 8.0)), "a", metric) == ""
+
+
 def test_only_environments_are_said_to_have_been_tried():
     assert set(TRIED) <= set(environment_ids())
 
@@ -717,6 +724,7 @@ def test_head_says_what_it_was_made_with_and_no_computers_name(run):
         "seed",
         "fields",
         "command",
+        "confirm",
         "processor",
         "cores",
         "platform",

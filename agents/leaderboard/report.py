@@ -146,7 +146,9 @@ def _learned_part(data: Mapping[str, Any]) -> list[str]:
         "error on the episodes above"
     )
     again = f"; these ratios are of {episodes:,} others, whose seeds follow." if episodes else ", the same as here."
-    note += again
+    note += (
+        f"{again} An oracle searches with the targets' true paths, or the blockages to come, known: the room there is."
+    )
     return ["## Learned policies against the best rule and the best greedy one", note, "\n".join(table(_VERDICT, rows))]
 
 
@@ -167,7 +169,10 @@ def _open_part(data: Mapping[str, Any]) -> list[str]:
     return [part for part in parts if part]
 
 
-_VERDICT = ["environment", "targets", "policy", "error", "against", "ratio of means", "mean", "ratio of p95", "p95"]
+_VERDICT = [
+    "environment", "targets", "policy", "error", "against", "ratio of means", "mean", "ratio of p95", "p95",
+    "oracle's ratio of means",
+]  # fmt: skip
 
 
 def _verdicts(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
@@ -180,8 +185,14 @@ def _verdict_row(environment: str, entry: Mapping[str, Any], each: Mapping[str, 
     return [
         _short(environment), _targets(entry), f"`{each['policy']}`", entry["metrics"][each["metric"]],
         f"`{each['base']}`", _ratio_words(each["mean"]), each["mean_verdict"], _ratio_words(each["p95"]),
-        each["p95_verdict"],
+        each["p95_verdict"], _room(entry, each["base"], each["metric"]),
     ]  # fmt: skip
+
+
+def _room(entry: Mapping[str, Any], base: str, metric: str) -> str:
+    """What the best policy that knows the truth reaches: how much there is to be learned."""
+    oracle, policies = entry["best"].get("oracle"), entry["policies"]
+    return f"{policies[oracle][metric]['mean'] / policies[base][metric]['mean']:.3f}" if oracle else ""
 
 
 def _full_part(data: Mapping[str, Any]) -> list[str]:
