@@ -346,7 +346,9 @@ def test_a_scenario_of_a_family_overrides_its_preset():
     assert own["imitation"] == {**family["imitation"], "teacher": "rule_average"}
     assert own["scenario"]["reward_range_error"] == 0.1
     assert own["arguments"] == {**family["arguments"], "gamma": 0.99}
-    changed = ("scenario", "imitation", "arguments")
+    assert own["flights_share"] == 0.5
+    assert "flights_share" not in family
+    changed = ("timesteps", "scenario", "imitation", "arguments")
     assert [name for name in family if own[name] != family[name]] == [n for n in family if n in changed]
     assert load_preset("OwnshipManeuvering", "sac") == load_preset("Ownship", "sac")
 
