@@ -5,8 +5,8 @@ from __future__ import annotations
 TRIED: dict[str, str] = {
     "passive/OwnshipManeuvering-v0": (
         "the planner and a zigzag as teachers; drawn courses only (final error on recorded flights 1.16 of the "
-        "rule's), half of the targets on recorded courses (1.06), the same with twice the steps and twice the final error's "
-        "weight (1.07; drawn 1.03 instead of 1.07)."
+        "rule's), half of the targets on recorded courses (1.06), the same with twice the steps and twice the "
+        "final error's weight (1.07; drawn 1.03 instead of 1.07)."
     ),
     "passive/OwnshipMulti-v0": (
         "half of the targets on recorded courses and twice the steps: final error on flights 1.08 of the rule's "
