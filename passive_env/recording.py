@@ -7,7 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.utils import seeding
 
-from passive_env.core import Simulation, World
+from passive_env.angle_sensors import AngleSensors
+from passive_env.core import World
+from passive_env.maneuver_sensors import AzimuthSensors
+from passive_env.sensors import DirectionFinders
 from trackers.angle_contract import AngleScan
 from trackers.contract import Scan
 from trackers.fix_contract import BearingScan
@@ -111,13 +114,12 @@ def record(scenario: Any, policy: Any, episodes: int = 1, seed: int = 0) -> Reco
     return _recording(scenario, worlds, watched.sightings)
 
 
-def _check_kind(scenario: Any, simulation: Simulation) -> None:
+def _check_kind(scenario: Any, simulation: Any) -> None:
     """Refuse scenarios whose scans are none of those known here."""
-    name = type(simulation.sensors).__name__
-    if name not in ("DirectionFinders", "AngleSensors", "AzimuthSensors"):
+    if not isinstance(getattr(simulation, "sensors", None), (DirectionFinders, AngleSensors, AzimuthSensors)):
         raise ValueError(
-            f"{type(scenario).__name__}: its sensors ({name}) measure no bearings, nor azimuth and elevation; only "
-            "episodes of those that do can be recorded"
+            f"{type(scenario).__name__}: its sensors measure neither bearings nor azimuth and elevation; only episodes "
+            "of those that do can be recorded"
         )
 
 

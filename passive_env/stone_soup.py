@@ -112,6 +112,49 @@ def metrics(episode: Episode, cutoff_m: float = 10e3, order: float = 2.0) -> dic
     return manager.generate_metrics()
 
 
+def retrack(episode: Episode, motion: Any, begin: int = 0, gate: float = 5.0) -> Episode:
+    """The episode with tracks that Stone Soup makes of its detections, by extended Kalman filters, nearest neighbours.
+
+    Args:
+        episode: its tracks give the beginning; the detections after that are filtered station by station.
+        motion: a transition model of Stone Soup, such as `constant_velocity` gives.
+        begin: instant up to which the tracks are taken over.
+        gate: Mahalanobis distance beyond which a detection is not the track's.
+    Returns:
+        an episode whose tracks have a state of every instant, updates and predictions of Stone Soup's types.
+    Raises:
+        ImportError: Stone Soup is not installed; ValueError: no such instant.
+    """
+    if not 0 <= begin < len(episode.detections):
+        raise ValueError(f"begin = {begin}: must be an instant, 0 to {len(episode.detections) - 1}")
+    predictor = _soup("predictor.kalman").ExtendedKalmanPredictor(motion)
+    updater = _soup("updater.kalman").ExtendedKalmanUpdater(measurement_model=None)
+    distance = _soup("hypothesiser.distance").DistanceHypothesiser(
+        predictor, updater, measure=_soup("measures").Mahalanobis(), missed_distance=gate
+    )
+    associator = _soup("dataassociator.neighbour").GNNWith2DAssignment(distance)
+    tracks = [_soup("types.track").Track(list(track[: begin + 1])) for track in episode.tracks]
+    times = [state.timestamp for state in episode.truths[0]]
+    for time, detections in zip(times[begin + 1 :], episode.detections[begin + 1 :], strict=True):
+        stations = {detection.metadata["station"] for detection in detections}
+        for station in sorted(stations) or [None]:
+            seen = {detection for detection in detections if detection.metadata["station"] == station}
+            for track, hypothesis in associator.associate(set(tracks), seen, time).items():
+                track.append(updater.update(hypothesis) if hypothesis else hypothesis.prediction)
+    return episode._replace(tracks=tracks)
+
+
+def constant_velocity(dimensions: int, noise_density: float) -> Any:
+    """Stone Soup's model of nearly constant velocity.
+
+    Args:
+        dimensions: 2 or 3.
+        noise_density: of the white acceleration on every axis [m²/s³].
+    """
+    linear = _soup("models.transition.linear")
+    return linear.CombinedLinearGaussianTransitionModel([linear.ConstantVelocity(noise_density)] * dimensions)
+
+
 def _soup(module: str) -> Any:
     return needs(f"stonesoup.{module}", EXTRA)
 
