@@ -267,7 +267,10 @@ def test_objects_that_do_not_belong_together_are_refused(episodes):
     for wrong, words in (
         ([], "episodes: there are none"),
         (spoilt(one, tracks=shorter), "episode 0: track 0 has no state of 2000-01-01 00:00:24"),
-        (spoilt(one, truths=[one.truths[0][:5], *one.truths[1:]]), "truth 1 has states of 13 instants"),
+        (
+            spoilt(one, truths=[one.truths[0][:5], *one.truths[1:]]),
+            "platform 0 has states of 13 instants: must have one of each of the 5",
+        ),
         ([one, one._replace(tracks=one.tracks[:2])], "episode 1 has arrays of shapes"),
         (spoilt(one, detections=one.detections[:-1]), "detections of 12 instants, must be 13"),
         (spoilt(one, detections=unnumbered(one)), "have station = None and slot = None, must be whole numbers below 2"),
