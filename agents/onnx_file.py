@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from agents.actor import ROWS
-from agents.onnx_graph import ACTION, OBSERVATION, graph
+from agents.onnx_graph import ACTION, EXTRA, OBSERVATION, graph
 from agents.packed import MOST_BYTES, read_description, write_description
 from passive_env.core import Simulation
 from passive_env.extras import needs
 
-SUFFIX, EXTRA = ".onnx", "onnx"
+SUFFIX = ".onnx"
 DESCRIPTION, CHECKSUM = "passive_env", "passive_env_sha256"
 UNKNOWN = "0" * 64
 """Stands in the file where its checksum shall stand while that is computed."""

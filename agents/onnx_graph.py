@@ -22,6 +22,7 @@ from passive_env.core import Simulation
 from passive_env.extras import needs
 from passive_env.observations import LIMIT
 
+EXTRA = "onnx"
 OBSERVATION, ACTION = "observation", "action"
 OPERATORS, FORMAT = 18, 9
 """Operator set and version of the file format: known to every runtime since 2023."""
@@ -40,7 +41,7 @@ def graph(network: Mapping[str, Any], arrays: Mapping[str, np.ndarray], simulati
     Raises:
         ImportError: onnx is not installed.
     """
-    onnx = needs("onnx", "onnx")
+    onnx = needs("onnx", EXTRA)
     nodes = Nodes(onnx)
     x = nodes.add("Cast", _limited(nodes), to=onnx.TensorProto.DOUBLE)
     output = {LAYERS: _layers, NETWORK: _per_transmitter}[network["kind"]](nodes, x, network, arrays, simulation)
@@ -63,11 +64,12 @@ class Nodes:
     """Nodes of a graph under construction.
 
     Attributes:
+        onnx: the module.
         made, constants: in the order in which they were added.
     """
 
     def __init__(self, onnx: Any):
-        self._onnx = onnx
+        self.onnx = onnx
         self.made: list[Any] = []
         self.constants: list[Any] = []
 
@@ -75,7 +77,7 @@ class Nodes:
         """Add an operator's node; inputs are names, or arrays that become constants. Returns its output's name."""
         names = [value if isinstance(value, str) else self._constant(np.asarray(value)) for value in inputs]
         output = output or f"{operator.lower()}_{len(self.made)}"
-        self.made.append(self._onnx.helper.make_node(operator, names, [output], **attributes))
+        self.made.append(self.onnx.helper.make_node(operator, names, [output], **attributes))
         return output
 
     def linear(self, x: str, weight: np.ndarray, bias: np.ndarray | None = None) -> str:
@@ -89,7 +91,7 @@ class Nodes:
 
     def _constant(self, array: np.ndarray) -> str:
         name = f"constant_{len(self.constants)}"
-        self.constants.append(self._onnx.numpy_helper.from_array(np.ascontiguousarray(array), name))
+        self.constants.append(self.onnx.numpy_helper.from_array(np.ascontiguousarray(array), name))
         return name
 
 
@@ -106,7 +108,7 @@ def _to_box(nodes: Nodes, output: str, box: spaces.Box, squash: bool) -> str:
         share = nodes.add("Mul", nodes.add("Add", nodes.add("Tanh", output), np.float64(1.0)), 0.5 * (high - low))
         output = nodes.add("Add", share, low)
     cut = nodes.add("Max", nodes.add("Min", output, high), low)
-    return nodes.add("Cast", cut, to=nodes._onnx.TensorProto.FLOAT)
+    return nodes.add("Cast", cut, to=nodes.onnx.TensorProto.FLOAT)
 
 
 def _best(nodes: Nodes, output: str, choices: Any) -> str:

@@ -56,10 +56,10 @@ def arrays(recording: Recording) -> dict[str, Any]:
     return {**recording._asdict(), **recording.returns._asdict(), "returns": ()}
 
 
-def synthetic(size: int = 6, components: int = 2) -> Recording:
+def synthetic(size: int = 6, components: int = 2, times_s: tuple[float, ...] = (0.0, 0.1, 0.3, 7.25)) -> Recording:
     """Numbers without any sense, but all different."""
     rng = np.random.default_rng(5)
-    e, k, s, m, b = 2, 4, 3, 2, 5
+    e, k, s, m, b = 2, len(times_s), 3, 2, 5
     root = rng.normal(size=(e, k, m, size, size))
     valid = rng.random((e, k, s, b)) < 0.5
     values = rng.uniform(-1.5, 1.5, (e, k, s, b, components))
@@ -68,7 +68,7 @@ def synthetic(size: int = 6, components: int = 2) -> Recording:
         rng.uniform(0.001, 0.1, (e, k, s, components)),
     )  # fmt: skip
     states = [1e4 * rng.normal(size=(e, k, n, size)) for n in (s, m, m)]
-    return Recording(np.array([0.0, 0.1, 0.3, 7.25]), *states, root @ np.swapaxes(root, -1, -2), returns)
+    return Recording(np.array(times_s), *states, root @ np.swapaxes(root, -1, -2), returns)
 
 
 # ------------------------------------------------------------------------------------------------------ recording
@@ -191,11 +191,11 @@ def test_gospa_and_ospa_are_those_of_their_definitions(recording, episodes):
 
 def test_siap_accuracy_is_the_mean_error_of_tracks_near_their_targets():
     """Tracks 30 m and 0.5 m/s off beside targets that are far from each other; one track is lost half the time."""
-    given = synthetic(4, 1)
+    given = synthetic(4, 1, tuple(range(20)))
     truth = np.zeros_like(given.truth)
     truth[:, :, 1, 0] = 50e3
     mean = truth + np.array([30.0, 0.0, 0.0, 0.5])
-    mean[:, 2:, 1, 1] = 20e3
+    mean[:, 10:, 1, 1] = 20e3
     (episode, _) = to_stone_soup(given._replace(truth=truth, mean=mean))
     siap = metrics(episode, 1000.0)["siap"]
     assert siap["SIAP Position Accuracy"].value == pytest.approx(30.0)
