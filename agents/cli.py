@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, pack, reproduce, curves, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, pack, export, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from passive_env.extras import MissingExtra
 from passive_env.scenario import parse_fields
 
 HELD_OUT = "held-out"
@@ -55,8 +56,9 @@ class Evaluate:
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
     policies: tuple[str, ...] | None = None
-    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; default all the
-    environment offers, `pretrained` where it can fly, and not the oracle, which looks at the truth."""
+    """Policy names (see `passive-env list`), run folders made by train, files FILE.npz made by pack and FILE.onnx made
+    by export; default all the environment offers, `pretrained` where it can fly, and not the oracle, which looks at the
+    truth."""
     trackers: tuple[str, ...] = ()
     """Trackers to cross with the policies; default the scenario's own."""
     episodes: int = 1000
@@ -121,6 +123,16 @@ class Pack:
 
 
 @dataclass(frozen=True)
+class Export:
+    """Write a policy as an ONNX file for other runtimes and languages, with what it was made for inside."""
+
+    policy: Annotated[str, tyro.conf.Positional]
+    """Run folder made by train, file made by pack, or the id of an environment whose pretrained policy is meant."""
+    onnx: Path
+    """FILE.onnx."""
+
+
+@dataclass(frozen=True)
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours; `all` writes one report of all papers."""
 
@@ -166,7 +178,7 @@ class List:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
     commands = {
-        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack,
+        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack, "export": Export,
         "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
     }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
@@ -180,12 +192,12 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 def _guarded(command: Any) -> int:
     runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack,
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack, Export: _export,
         Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
     }  # fmt: skip
     try:
         status = runners[type(command)](command)
-    except (ValueError, TypeError, OSError) as error:
+    except (ValueError, TypeError, OSError, MissingExtra) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
     return status or 0
@@ -220,6 +232,13 @@ def _pack(c: Pack) -> None:
 
     record = pack(c.run, c.out, c.evaluation, c.episodes, c.seed)
     print(f"{c.out}: {record['bytes']} bytes\n\n{c.out.with_suffix('.md').read_text(encoding='utf-8')}")
+
+
+def _export(c: Export) -> None:
+    from agents.export import export
+
+    actor = export(c.policy, c.onnx)
+    print(f"{c.onnx}: {c.onnx.stat().st_size} bytes, for {actor.description['environment']}")
 
 
 def _reproduce(c: Reproduce) -> int:

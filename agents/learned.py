@@ -1,4 +1,4 @@
-"""Trained policies: a run folder's model, or one packed into a file, checked against the environment it shall steer."""
+"""Trained policies: a run folder's model, or one in a file, checked against the environment it shall steer."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from agents.actor import one_thread, plain_actor
 from agents.algorithms import find_algorithm
 from agents.networks import rebuild
+from agents.onnx_file import is_onnx, read_onnx
 from agents.packed import is_packed, read_packed
 from passive_env.actions import GUIDED
 from passive_env.belief import Belief
@@ -99,7 +100,7 @@ class LearnedPolicy(ModelPolicy):
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
         _check_environment(Path(run), config, environment)
-        shown, simulation = simulation.scenario, _as_trained(config, environment, simulation)
+        shown, simulation = simulation.scenario, as_trained(config, environment, simulation)
         _check_fit(Path(run), config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
         _check_spaces(Path(run) / MODEL, model, simulation)
@@ -120,7 +121,7 @@ class PackedPolicy(ActorPolicy):
     def __init__(self, file: str | Path, environment: str, simulation: Simulation):
         packed = read_packed(file)
         _check_environment(Path(file), packed.description, environment)
-        shown, simulation = simulation.scenario, _as_trained(packed.description, environment, simulation)
+        shown, simulation = simulation.scenario, as_trained(packed.description, environment, simulation)
         _check_fit(Path(file), packed.description, environment, simulation)
         self.description = packed.description
         super().__init__(
@@ -128,14 +129,41 @@ class PackedPolicy(ActorPolicy):
         )
 
 
+class OnnxPolicy(ActorPolicy):
+    """A policy in ONNX, checked against the environment it shall steer.
+
+    Args:
+        file: made by ``passive-env export``.
+        environment: id of the environment it shall steer.
+        simulation: that environment's parts.
+    Raises:
+        FileNotFoundError: no such file; ImportError: onnxruntime is not installed; ValueError: made for another
+            environment or damaged.
+    """
+
+    def __init__(self, file: str | Path, environment: str, simulation: Simulation):
+        actor = read_onnx(file)
+        self.description = actor.description
+        _check_environment(Path(file), self.description, environment)
+        shown, simulation = simulation.scenario, as_trained(self.description, environment, simulation)
+        _check_fit(Path(file), self.description, environment, simulation)
+        actor.check(simulation)
+        super().__init__(actor, simulation, shown)
+
+
+def is_policy_file(path: str | Path) -> bool:
+    """Whether a name is that of one file that holds a policy, packed or in ONNX."""
+    return is_packed(path) or is_onnx(path)
+
+
 def is_trained(path: str | Path) -> bool:
-    """Whether a name is that of a run folder, or of what should be one, or of a packed policy's file."""
-    return Path(path).is_dir() or (Path(path) / CONFIG).exists() or is_packed(path)
+    """Whether a name is that of a run folder, or of what should be one, or of a policy's file."""
+    return Path(path).is_dir() or (Path(path) / CONFIG).exists() or is_policy_file(path)
 
 
 def open_policy(path: str | Path, environment: str, simulation: Simulation) -> ActorPolicy:
-    """The policy of a run folder or of a packed file; arguments and errors as of `LearnedPolicy`, `PackedPolicy`."""
-    kind = PackedPolicy if is_packed(path) else LearnedPolicy
+    """The policy of a run folder or of a file; arguments and errors as of the class that is made."""
+    kind = PackedPolicy if is_packed(path) else OnnxPolicy if is_onnx(path) else LearnedPolicy
     return kind(path, environment, simulation)
 
 
@@ -192,7 +220,7 @@ def trained_interface(config: dict[str, Any]) -> dict[str, Any]:
     return config.get("interface", {"actions": config.get("actions", "continuous")})
 
 
-def _as_trained(config: dict[str, Any], environment: str, simulation: Simulation) -> Simulation:
+def as_trained(config: dict[str, Any], environment: str, simulation: Simulation) -> Simulation:
     """The parts by which a model sees and acts, where fields have the registered values: only commands leave it.
 
     That a user names a field's registered value makes no difference: the environment itself stays what it is.

@@ -101,8 +101,8 @@ def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
     actor = plain_actor(load_model(run / MODEL, config["algo"]))
     if actor is None:
         raise ValueError(
-            f"{run}: a model of {config['algo']} with this network cannot be packed; what can be are feed-forward "
-            "networks of ppo, ppo_scratch and sac"
+            f"{run}: a model of {config['algo']} with this network cannot be packed or exported; what can be are "
+            "feed-forward networks of ppo, ppo_scratch and sac"
         )
     network, arrays = describe(actor)
     trained = {"fields": {}, **config, "interface": trained_interface(dict(config))}
@@ -134,10 +134,16 @@ def _check_same(out: Path, scenario: Any, packed: ActorPolicy, learned: ActorPol
 
 
 class Both:
-    """Flies as one policy and remembers how far another's commands lie from its own."""
+    """Flies as one policy and remembers how far another's commands lie from its own.
 
-    def __init__(self, flown: ActorPolicy, other: ActorPolicy):
-        self._flown, self._other, self.difference = flown, other, 0.0
+    Attributes:
+        difference: the largest.
+        different_share: share of decisions that differ by more than `within`.
+    """
+
+    def __init__(self, flown: ActorPolicy, other: ActorPolicy, within: float = SAME_WITHIN):
+        self._flown, self._other, self._within, self.difference = flown, other, within, 0.0
+        self._different = self._decisions = 0
 
     def reset(self, belief: Any) -> None:
         """Begin episodes."""
@@ -149,7 +155,14 @@ class Both:
         commands = self._flown.act(belief, observation)
         distance = np.abs(commands - self._other.act(belief, observation))
         self.difference = max(self.difference, float(distance.max(initial=0.0)))
+        self._different += int((~(distance <= self._within)).any(axis=1).sum())  # what is no number differs
+        self._decisions += len(commands)
         return commands
+
+    @property
+    def different_share(self) -> float:
+        """Of the decisions so far."""
+        return self._different / max(self._decisions, 1)
 
 
 def _compared(name: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool) -> Any:

@@ -67,8 +67,7 @@ def write_packed(path: str | Path, description: Mapping[str, Any], arrays: Mappi
     """
     if not is_packed(path):
         raise ValueError(f"{path}: a packed policy's name must end in {SUFFIX}")
-    text = json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **description}, indent=1, allow_nan=False)
-    members = {DESCRIPTION: np.frombuffer(text.encode(), dtype=np.uint8)}
+    members = {DESCRIPTION: np.frombuffer(write_description(description).encode(), dtype=np.uint8)}
     members |= {name: np.asarray(array, dtype="<f4") for name, array in arrays.items()}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -97,7 +96,8 @@ def read_packed(path: str | Path) -> Packed:
         raise ValueError(f"{path}: damaged or no packed policy ({error}); {HOW}") from error
     if DESCRIPTION not in members:
         raise ValueError(f"{path}: no packed policy, it has no array {DESCRIPTION!r}; {HOW}")
-    description = _description(path, _array(f"{path}: {DESCRIPTION}", members.pop(DESCRIPTION), np.dtype(np.uint8)))
+    text = _array(f"{path}: {DESCRIPTION}", members.pop(DESCRIPTION), np.dtype(np.uint8)).tobytes()
+    description = read_description(path, text, HOW)
     arrays = {name: _weights(f"{path}: {name}", content) for name, content in members.items()}
     return Packed(description, arrays)
 
@@ -152,21 +152,41 @@ def _weights(where: str, content: bytes) -> np.ndarray:
     return np.ascontiguousarray(array)
 
 
-def _description(path: Path, text: np.ndarray) -> dict[str, Any]:
+def write_description(description: Mapping[str, Any]) -> str:
+    """A policy's description as text, with the name and version of the format.
+
+    Raises:
+        ValueError: numbers that are not finite.
+    """
+    return json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION, **description}, indent=1, allow_nan=False)
+
+
+def read_description(where: str | Path, text: bytes, how: str) -> dict[str, Any]:
+    """The description in a policy's file.
+
+    Args:
+        where: the file, for messages.
+        text: what it says, UTF-8.
+        how: how such a file is made, for messages.
+    Raises:
+        ValueError: no JSON, or an entry that is missing or of another type.
+    """
     try:
-        description = json.loads(text.tobytes().decode(), parse_constant=_refuse)
+        description = json.loads(text.decode(), parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: {DESCRIPTION} is no valid JSON ({error})") from error
+        raise ValueError(f"{where}: {DESCRIPTION} is no valid JSON ({error})") from error
     if not isinstance(description, dict) or description.get("format") != FORMAT:
-        raise ValueError(f"{path}: {DESCRIPTION} must say format = {FORMAT!r}; {HOW}")
+        raise ValueError(f"{where}: {DESCRIPTION} must say format = {FORMAT!r}; {how}")
     if description.get("format_version") != FORMAT_VERSION:
         raise ValueError(
-            f"{path}: format_version = {description.get('format_version')!r}, this version of the package reads "
-            f"{FORMAT_VERSION}; pack the run again"
+            f"{where}: format_version = {description.get('format_version')!r}, this version of the package reads "
+            f"{FORMAT_VERSION}; make it again from the run"
         )
     for name, kind in NEEDED.items():
         if not isinstance(description.get(name), kind):
-            raise ValueError(f"{path}: {DESCRIPTION} has {name} = {description.get(name)!r}, must be a {kind.__name__}")
+            raise ValueError(
+                f"{where}: {DESCRIPTION} has {name} = {description.get(name)!r}, must be a {kind.__name__}"
+            )
     return description
 
 

@@ -48,7 +48,7 @@ def make_policy(name: str, scenario: Any, seed: int = 0) -> Policy:
     if name not in makers:
         raise ValueError(
             f"unknown policy {name!r}: {type(scenario).__name__} offers {', '.join(makers)}, "
-            "or name a run folder made by train or a file FILE.npz made by pack"
+            "or name a run folder made by train, a file FILE.npz made by pack or FILE.onnx made by export"
         )
     return makers[name](scenario, seed)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.evaluation import unique_names
-from agents.learned import CONFIG, MODEL, open_policy
-from agents.packed import SUFFIX, is_packed
+from agents.learned import CONFIG, MODEL, is_policy_file, open_policy
+from agents.packed import SUFFIX
 from agents.policy import Policy, make_policy, policy_names
 from agents.pretrained import PRETRAINED, card, load_pretrained, pretrained_ids
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
@@ -106,7 +106,7 @@ def _learned(name: str, run: Path, environment: str) -> Contestant:
         return open_policy(run, environment, scenario.make_simulation())
 
     make(make_scenario(environment, {}))  # a bad one must fail before anything is flown
-    files = [run] if is_packed(run) else [run / CONFIG, run / MODEL]
+    files = [run] if is_policy_file(run) else [run / CONFIG, run / MODEL]
     return Contestant(name, "learned", make, _digest(*files))
 
 

@@ -39,6 +39,17 @@ def load_pretrained(environment: str, scenario: Any = None) -> Any:
     """
     from agents.learned import PackedPolicy
 
+    file, name = packed_file(environment), scenario_name(environment)
+    scenario = make_scenario(name, {}) if scenario is None else scenario
+    return PackedPolicy(file, environment_id(name), scenario.make_simulation())
+
+
+def packed_file(environment: str) -> Path:
+    """The packed file of an environment's pretrained policy.
+
+    Raises:
+        ValueError: an unknown environment, or one without a pretrained policy.
+    """
     name = scenario_name(environment)
     if environment_id(name) not in pretrained_ids():
         raise ValueError(
@@ -46,8 +57,7 @@ def load_pretrained(environment: str, scenario: Any = None) -> Any:
             f"{', '.join(pretrained_ids()) or 'no environment'}; train one with 'passive-env train --env "
             f"{environment_id(name)}'"
         )
-    scenario = make_scenario(name, {}) if scenario is None else scenario
-    return PackedPolicy(_file(name, SUFFIX), environment_id(name), scenario.make_simulation())
+    return _file(name, SUFFIX)
 
 
 def sees_alike(environment: str, scenario: Any) -> bool:
