@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env.extras import needs
-from passive_env.recording import Recording, Returns
+from passive_env.episodes import Recording, Returns
 
 EXTRA = "stonesoup"
 START = datetime(2000, 1, 1)
@@ -48,7 +48,7 @@ def to_stone_soup(recording: Recording, start: datetime = START) -> list[Episode
     """Recorded episodes as objects of Stone Soup.
 
     Args:
-        recording: as `passive_env.recording.record` makes it.
+        recording: as `passive_env.episodes.record` makes it.
         start: time of the first scan.
     Raises:
         ImportError: Stone Soup is not installed.
