@@ -28,9 +28,18 @@ def as_page(text: str, title: str, folder: Path, marks: tuple[str, ...] = ()) ->
     Raises:
         FileNotFoundError: a picture is missing.
     """
-    body = markdown.markdown(text, extensions=["tables", "toc", _SelfContained(folder, marks)], output_format="html")
-    shell = Template((resources.files("agents") / "page.html").read_text(encoding="utf-8"))
-    return shell.substitute(title=html.escape(title), body=body)
+    return shell(title, fragment(text, folder, marks))
+
+
+def fragment(text: str, folder: Path = Path(), marks: tuple[str, ...] = ()) -> str:
+    """What stands between a page's head and foot; arguments as of `as_page`."""
+    return markdown.markdown(text, extensions=["tables", "toc", _SelfContained(folder, marks)], output_format="html")
+
+
+def shell(title: str, body: str) -> str:
+    """The page around a body of HTML."""
+    page = Template((resources.files("agents") / "page.html").read_text(encoding="utf-8"))
+    return page.substitute(title=html.escape(title), body=body)
 
 
 class _SelfContained(Extension):
