@@ -60,13 +60,14 @@ def _trained(run: Any, episodes: int, flights: str) -> Settings:
         "envs": run.envs, "device": run.device, "episodes": episodes, "flights": flights, "fields": run.fields,
     }  # fmt: skip
     seconds = training_seconds(run.folder)
-    steps = f"{run.timesteps:,} steps" if seconds is None else f"{run.timesteps:,} steps in {duration(seconds)}"
+    took = "" if seconds is None else f", in {duration(seconds)}"
     return Settings(
         title=f"{run.scenario_name}: learned by {run.algo}, seed {run.seed}",
         command=command_line("train", asked | {"out": "DIR"}),
-        settings=asked | {"preset": run.preset},
+        settings=asked,
         folder=run.folder,
-        tiles={"trained for": steps},
+        preset=run.preset,
+        tiles={f"steps of training{took}": f"{run.timesteps:,}"},
     )
 
 

@@ -35,8 +35,10 @@ from passive_env.scenario import parse_fields
 from trackers.compiled import available_cores
 
 REPORT = "report.html"
-CHART_IN = (6.0, 4.4)
+CHART_IN = (5.2, 4.2)
 """Size of a diagram over time; letters of this size can be read on a phone."""
+CARDS = 6
+"""Policies whose maps are open."""
 VERDICT_WORDS = {"ahead": "ahead of it", "level": "level with it", "behind": "behind it"}
 NOTHING = "–"
 
@@ -54,7 +56,7 @@ class Comparison(NamedTuple):
     """
 
     heading: str
-    summary: Mapping[str, Any]
+    summary: dict[str, Any]
     scenario: Any
     body: str
     finding: str
@@ -69,6 +71,7 @@ class Settings(NamedTuple):
         command: that repeats it.
         settings: names and values.
         folder: of a training run, whose learning curves are drawn; None for an evaluation.
+        preset: of that run.
         tiles: figures beside those of the first comparison.
         preface: HTML before the comparisons.
     """
@@ -77,6 +80,7 @@ class Settings(NamedTuple):
     command: str
     settings: Mapping[str, Any]
     folder: Path | None = None
+    preset: Mapping[str, Any] = {}
     tiles: Mapping[str, str] = {}
     preface: str = ""
 
@@ -84,7 +88,7 @@ class Settings(NamedTuple):
 def write_run_report(out: Path, asked: Settings, comparisons: Sequence[Comparison]) -> Path:
     """Write ``report.html`` into a folder, whole or not at all; returns the file."""
     first = comparisons[0]
-    chapters = {each.heading: f'<p class="lede">{each.finding}</p>{each.body}' for each in comparisons}
+    chapters = {each.heading: each.body for each in comparisons}
     if asked.folder is not None:
         chapters["Learning curves"] = _learning(asked.folder)
     chapters["Configuration"] = _configuration(asked, comparisons)
@@ -92,7 +96,7 @@ def write_run_report(out: Path, asked: Settings, comparisons: Sequence[Compariso
     places = {heading: f"part-{i}" for i, heading in enumerate(chapters, 1)}
     links = "".join(f'<li><a href="#{place}">{_text(heading)}</a></li>' for heading, place in places.items())
     body = [
-        f'<div class="run"><header><h1>{_text(asked.title)}</h1><p class="lede">{first.finding}</p>',
+        f'<div class="run"><header><h1>{_text(asked.title)}</h1>{_findings(comparisons)}',
         f'{_tiles({**first.tiles, **asked.tiles})}<nav aria-label="Parts of this report"><ul>{links}</ul></nav>',
         f"</header>{asked.preface}",
         *(
@@ -109,7 +113,7 @@ def write_run_report(out: Path, asked: Settings, comparisons: Sequence[Compariso
 
 
 def comparison(
-    heading: str, summary: Mapping[str, Any], records: Mapping[str, Record], scenario: Any, focus: str = ""
+    heading: str, summary: dict[str, Any], records: Mapping[str, Record], scenario: Any, focus: str = ""
 ) -> Comparison:
     """A comparison in words and pictures.
 
@@ -124,15 +128,17 @@ def comparison(
     order = sorted(summary["policies"], key=lambda name: summary["policies"][name][metric]["mean"])
     focus = focus or order[0]
     base = next((name for name in order if name in summary["ratios"] and name != focus), "")
+    shown = {name: records[name] for name in (focus, *(each for each in order if each != focus))}
+    charts = [
+        *([_ratio_picture(summary, order, metric, base)] if base else []),
+        _error_over_time(shown, scenario, summary["score"]),
+    ]
     body = [
-        "<h3>Comparison</h3>",
         _figures(summary, order, metric, base, focus),
-        _ratio_picture(summary, order, metric, base),
         _details("All figures, and ratios to every baseline", fragment(as_markdown(summary))),
-        "<h3>Error over time</h3>",
-        _error_over_time(records, scenario, summary["score"]),
+        f'<div class="pair">{"".join(f"<div>{chart}</div>" for chart in charts)}</div>',
         "<h3>Geometry</h3>",
-        _geometry(records, scenario, summary["seed"]),
+        _geometry(shown, scenario, summary["seed"]),
     ]
     return Comparison(
         heading, summary, scenario, "\n".join(body), _finding(summary, metric, base, focus),
@@ -160,9 +166,10 @@ def _finding(summary: Mapping[str, Any], metric: str, base: str, focus: str) -> 
         return said + "."
     ratio = summary["ratios"][base][focus][metric]
     judged = verdict(ratio["ci95"])
+    rival = "the next baseline" if focus in summary["ratios"] else "the strongest baseline"
     return (
-        f"{said}. That is {_interval(ratio)} of the error of <code>{_text(base)}</code>, the strongest baseline beside "
-        f'it: <span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
+        f"{said}. That is {_interval(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
+        f'<span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
     )
 
 
@@ -175,7 +182,8 @@ def _comparison_tiles(summary: Mapping[str, Any], metric: str, base: str, focus:
     tiles = {f"{_error_name(metric, score)}, {_text(focus)}": metres(figures[metric]["mean"])}
     if base:
         ratio = summary["ratios"][base][focus][metric]
-        tiles[f"of the error of {_text(base)}"] = f"{ratio['ratio']:.3f}"
+        low, high = ratio["ci95"]
+        tiles[f"times the error of {_text(base)} [{low:.3f}, {high:.3f}]"] = f"{ratio['ratio']:.3f}"
     return tiles | {
         "Cramér–Rao bound at the end, 1σ": metres(figures[f"final_{score}_crlb_m"]),
         "tracks lost": percent(figures["lost_share"]),
@@ -186,23 +194,24 @@ def _comparison_tiles(summary: Mapping[str, Any], metric: str, base: str, focus:
 def _figures(summary: Mapping[str, Any], order: Sequence[str], metric: str, base: str, focus: str) -> str:
     """The table that matters: a row per policy, the best first."""
     metrics, score = metrics_of(summary), summary["score"]
-    ranked = list(metrics).index(metric) + 1
-    head = ["policy", *metrics.values(), f"p95, {metrics[metric]}", "bound", "lost"]
-    head += [f"{metrics[metric]} / {base}"] if base else []
+    others = [each for each in metrics if each != metric]
+    head = ["policy", metrics[metric], *([f"{metrics[metric]} / {base}"] if base else []), f"p95, {metrics[metric]}"]
+    head += [*(metrics[each] for each in others), "bound", "lost"]
     rows = []
     for name in order:
         figures = summary["policies"][name]
-        cells = [name, *(_number(figures[each]["mean"]) for each in metrics), _number(figures[metric]["p95"])]
-        cells += [_number(figures[f"final_{score}_crlb_m"]), percent(figures["lost_share"])]
+        cells = [name, _number(figures[metric]["mean"])]
         if base:
             cells.append("1" if name == base else _interval(summary["ratios"][base][name][metric]))
-        rows.append(cells)
+        cells += [_number(figures[metric]["p95"]), *(_number(figures[each]["mean"]) for each in others)]
+        rows.append([*cells, _number(figures[f"final_{score}_crlb_m"]), percent(figures["lost_share"])])
+    unit = ", accelerations in m/s²" if "mean_acceleration_error_m_s2" in metrics else ""
     note = (
-        f"Mean {score} errors in metres over {summary['episodes']:,} paired episodes from seed {summary['seed']:,}, "
-        "accelerations in m/s²; the least error first. Bound: posterior Cramér–Rao bound at the end, a standard "
-        "deviation. In brackets: paired bootstrap 95 % interval."
+        f"Mean {score} errors in metres{unit}, over {summary['episodes']:,} paired episodes from seed "
+        f"{summary['seed']:,}; ranked by the bold column. Bound: posterior Cramér–Rao bound at the end, a standard "
+        "deviation (a mean error may lie 20 % below it). In brackets: paired bootstrap 95 % interval."
     )
-    table = _table(head, rows, "Comparison of policies", "figures", ranked, order.index(focus))
+    table = _table(head, rows, "Comparison of policies", "figures", 1, order.index(focus))
     return f'{table}<p class="small">{note}</p>'
 
 
@@ -219,25 +228,26 @@ def _interval(ratio: Mapping[str, Any]) -> str:
 
 
 def _ratio_picture(summary: Mapping[str, Any], order: Sequence[str], metric: str, base: str) -> str:
-    if not base:
-        return ""
     ratios = {name: summary["ratios"][base][name][metric] for name in order if name != base}
     bars = {name: (ratio["ratio"], *ratio["ci95"]) for name, ratio in ratios.items()}
-    figure = pictures.ratio_chart(bars, f"{metrics_of(summary)[metric]} error, {base} = 1")
+    figure = pictures.ratio_chart(bars, "")
     figure.set_size_inches(CHART_IN[0], figure.get_figheight())
     said = "; ".join(f"{name} {_interval(ratio)}" for name, ratio in ratios.items())
-    return _picture(figure, f"Bars: mean error relative to that of {base}, with 95 % intervals. {said}.")
+    drawn = _picture(figure, f"Bars: mean error relative to that of {base}, with 95 % intervals. {said}.")
+    name = f"{_error_name(metric, summary['score'])}, relative to {base}"
+    return f"<h3>{_text(name[0].upper() + name[1:])}</h3>{drawn}"
 
 
 def _error_over_time(records: Mapping[str, Record], scenario: Any, score: str) -> str:
     times = steps_axis(scenario)
     errors = {name: record.error_m.mean(0) for name, record in records.items()}
     bounds = {name: record.bound_m.mean(0) for name, record in records.items()}
-    figure = pictures.error_over_time(times, errors, bounds, f"Mean {score} error", score)
+    figure = pictures.error_over_time(times, errors, bounds, "", score)
     figure.set_size_inches(CHART_IN[0], max(CHART_IN[1], 0.3 * len(records)))
     ends = "; ".join(f"{name} {metres(error[-1])}" for name, error in errors.items())
     alt = f"Mean {score} error of every policy over {times[-1]:g} s, logarithmic. At the end: {ends}."
-    return _picture(figure, alt, "Averaged over targets and episodes; dashed: the bound of the geometry flown.")
+    drawn = _picture(figure, alt, "Averaged over targets and episodes; dashed: the bound of the geometry flown.")
+    return f"<h3>Error over time</h3>{drawn}"
 
 
 def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
@@ -255,8 +265,10 @@ def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
 
 
 def _cards(figures: Mapping[str, Figure], what: str) -> str:
+    """Pictures side by side; those after the first ones fold away."""
     cards = [_picture(figure, f"{name}: {what}. {figure.axes[0].get_title()}") for name, figure in figures.items()]
-    return f'<div class="cards">{"".join(cards)}</div>'
+    first, more = (f'<div class="cards">{"".join(part)}</div>' for part in (cards[:CARDS], cards[CARDS:]))
+    return first + (_details(f"The other {len(cards) - CARDS}", more) if len(cards) > CARDS else "")
 
 
 def _maneuvers(records: Mapping[str, Record], scenario: Any) -> str:
@@ -269,6 +281,14 @@ def _maneuvers(records: Mapping[str, Record], scenario: Any) -> str:
 
 
 # -- the rest of the page ----------------------------------------------------------------------------------------------
+
+
+def _findings(comparisons: Sequence[Comparison]) -> str:
+    """The sentences that matter, each with its heading where there are several."""
+    if len(comparisons) == 1:
+        return f'<p class="lede">{comparisons[0].finding}</p>'
+    said = (f"<li><strong>{_text(each.heading)}:</strong> {each.finding}</li>" for each in comparisons)
+    return f'<ul class="lede">{"".join(said)}</ul>'
 
 
 def _learning(folder: Path) -> str:
@@ -297,16 +317,20 @@ def _course_of(name: str, curve: Curve) -> str:
 
 def _configuration(asked: Settings, comparisons: Sequence[Comparison]) -> str:
     """What was asked for, what differs from the environment's defaults, and every field."""
-    rows = [[name, _value(value)] for name, value in flat(asked.settings)]
+    rows = [[name, _value(value)] for name, value in flat(asked.settings) if _value(value) != NOTHING]
     fields = _fields(comparisons)
     changed = [row for row in fields if row[1] != row[2]]
     head = ["field", "value", "default", "meaning"]
-    several = " Values of the comparisons above in turn." if len(comparisons) > 1 else ""
-    parts = [_table(["setting", "value"], rows, "Settings"), "<h3>Scenario</h3>"]
+    order = f", {' / '.join(each.heading.lower() for each in comparisons)}" if len(comparisons) > 1 else ""
+    parts = [_table(["setting", "value"], rows, "Settings")]
+    if asked.preset:
+        preset = [[name, _value(value)] for name, value in flat(asked.preset)]
+        parts.append(_details("Preset of the algorithm", _table(["setting", "value"], preset, "Preset")))
     parts.append(
-        f"<p>What differs from the environment's defaults:{several}</p>{_table(head, changed, 'Changed fields')}"
+        f"<h3>Scenario</h3><p>What differs from the environment's defaults{order}:</p>"
+        + _table(head, changed, "Changed fields")
         if changed
-        else "<p>All fields are at the environment's defaults.</p>"
+        else "<h3>Scenario</h3><p>All fields are at the environment's defaults.</p>"
     )
     return "".join(parts) + _details(f"All {len(fields)} fields", _table(head, fields, "All fields"))
 
@@ -332,7 +356,7 @@ def flat(settings: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, A
 
 
 def _value(value: Any) -> str:
-    if value is None or (isinstance(value, (Mapping, str)) and not value):
+    if value is None or (isinstance(value, (Mapping, Sequence)) and not value):
         return NOTHING
     if isinstance(value, (list, tuple)):
         return ", ".join(map(_value, value))
@@ -343,12 +367,18 @@ def _value(value: Any) -> str:
 
 def _repeating(asked: Settings) -> str:
     """Command, versions, machine, date."""
-    rows = [["date", f"{datetime.now(UTC):%Y-%m-%d}"], ["commit", commit() or NOTHING]]
+    rows = [["date", f"{datetime.now(UTC):%Y-%m-%d}"], ["commit", (commit() or NOTHING)[:12]]]
     rows += [["processor", f"{processor_name()}, {available_cores()} cores"], *map(list, versions().items())]
     return (
-        f"<pre><code>{_text(asked.command)}</code></pre><p>DIR is a new folder. With the same versions the numbers "
-        f"come out the same, the times of decisions apart.</p>{_table(['what', 'version'], rows, 'Versions')}"
+        f"<pre><code>{_unbroken_flags(asked.command)}</code></pre><p>DIR is a new folder. With the same versions the "
+        "numbers come out the same, the times of decisions apart.</p>" + _table(["what", "version"], rows, "Versions")
     )
+
+
+def _unbroken_flags(command: str) -> str:
+    """A command as HTML in which no line ends between a flag's two hyphens and its name."""
+    words = (_text(word) for word in command.split(" "))
+    return " ".join(f'<span class="flag">{word}</span>' if word.startswith("--") else word for word in words)
 
 
 def command_line(verb: str, flags: Mapping[str, Any], place: str = "") -> str:
