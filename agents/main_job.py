@@ -91,7 +91,7 @@ def compare(
     if len(flown) > 1:
         write_crossing(out, summaries)
         crossing = crossing_as_markdown(summaries)
-        preface = f"<section><h2>Trackers and policies</h2>{fragment(crossing)}</section>"
+        preface = f"<section><h2>Trackers and policies</h2>{fragment(crossing, name='Trackers and policies')}</section>"
         print(f"\n{out}\n\n{crossing}")
     asked = {
         "policies": policies, "trackers": trackers, "episodes": episodes, "seed": seed, "fields": fields,

@@ -40,6 +40,7 @@ CHART_IN = (5.2, 4.2)
 CARDS = 6
 """Policies whose maps are open."""
 VERDICT_WORDS = {"ahead": "ahead of it", "level": "level with it", "behind": "behind it"}
+EVERYTHING = "All figures, and ratios to every baseline"
 NOTHING = "–"
 
 
@@ -135,7 +136,7 @@ def comparison(
     ]
     body = [
         _figures(summary, order, metric, base, focus),
-        _details("All figures, and ratios to every baseline", fragment(as_markdown(summary))),
+        _details(EVERYTHING, fragment(as_markdown(summary), name=EVERYTHING)),
         f'<div class="pair">{"".join(f"<div>{chart}</div>" for chart in charts)}</div>',
         "<h3>Geometry</h3>",
         _geometry(shown, scenario, summary["seed"]),
@@ -266,7 +267,8 @@ def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
 
 def _cards(figures: Mapping[str, Figure], what: str) -> str:
     """Pictures side by side; those after the first ones fold away."""
-    cards = [_picture(figure, f"{name}: {what}. {figure.axes[0].get_title()}") for name, figure in figures.items()]
+    titles = (figure.axes[0].get_title() or figure.axes[0].get_title("left") for figure in figures.values())
+    cards = [_picture(card, f"{title}; {what}") for title, card in zip(titles, figures.values(), strict=True)]
     first, more = (f'<div class="cards">{"".join(part)}</div>' for part in (cards[:CARDS], cards[CARDS:]))
     return first + (_details(f"The other {len(cards) - CARDS}", more) if len(cards) > CARDS else "")
 
