@@ -171,7 +171,7 @@ def geometry_cards(time_s: Any, paths: Mapping[str, EpisodePaths]) -> dict[str, 
 def geometry_legend(episode: EpisodePaths) -> Figure:
     """What the signs of `geometry_cards` mean."""
     samples = _geometry_samples(episode)
-    figure = Figure(figsize=(5.6, 0.1 + 0.26 * math.ceil(len(samples) / 2)), dpi=DPI)
+    figure = Figure(figsize=(4.7, 0.1 + 0.26 * math.ceil(len(samples) / 2)), dpi=DPI)
     figure.legend(handles=samples, loc="center", ncols=2, fontsize=9.5, frameon=False, labelcolor=INK, borderpad=0.0)
     return figure
 

@@ -1,6 +1,7 @@
 """The page that train and evaluate leave behind: what it says, that it is whole, and how it shows in a browser."""
 
 import base64
+import io
 import json
 import re
 import shlex
@@ -9,12 +10,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from browser import opened, pixels, shown_as
+from chromium import DESKTOP, PHONE
+from chromium import Page as Window
 from html_page import Page
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from selenium.webdriver.common.by import By
-from selenium.webdriver.common.keys import Keys
+from matplotlib.image import imread
 from test_evaluation import record
 from test_learning_curves import ERROR, logged
 
@@ -347,78 +348,88 @@ def test_equal_figures_are_equal_files_in_which_no_light_colour_is_fixed():
 # ------------------------------------------------------------------------------------------------ in a browser
 
 
-@pytest.fixture(scope="module")
-def browser(report):
-    with opened() as driver:
-        driver.get((report / REPORT).as_uri())
-        yield driver
+ENTER = "\ue007"
+"""The key, as a browser's driver names it."""
 
 
-def test_page_loads_without_errors_and_without_a_network(browser):
-    assert browser.get_log("browser") == []
-    fetched = browser.execute_script("return performance.getEntriesByType('resource').map(each => each.name)")
-    assert all(name.startswith("data:") for name in fetched)
-    broken = "return [...document.images].filter(each => !(each.complete && each.naturalWidth)).length"
-    assert browser.execute_script(broken) == 0
+@pytest.fixture(params=[DESKTOP, PHONE], ids=["desktop", "phone"])
+def size(request) -> tuple[int, int]:
+    return request.param
 
 
-@pytest.mark.parametrize("width", [400, 1280])
-def test_page_fits_its_window_and_shows_every_picture(browser, width):
+@pytest.fixture
+def window(chromium, report, size) -> Window:
+    prefer(chromium, "light")
+    return Window(chromium, report / REPORT, ready="document.readyState === 'complete'", size=size, touch=size == PHONE)
+
+
+def prefer(driver, scheme: str) -> None:
+    """Let the browser's user prefer light or dark pages."""
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+
+def pixels(png: bytes) -> np.ndarray:
+    """A screenshot [height, width, 3] in [0, 1]."""
+    return imread(io.BytesIO(png))[..., :3]
+
+
+def test_page_loads_without_errors_and_without_a_network(window):
+    assert window.complaints() == []
+    assert all(name.startswith("data:") for name in window.fetched())
+    assert window.value("[...document.images].every(each => each.complete && each.naturalWidth > 0)")
+    assert window.unnamed() == []
+
+
+def test_page_fits_its_window_and_shows_its_pictures(window, size):
     """Nothing but tables and wide pictures scrolls sideways, and those inside their own regions."""
-    shown_as(browser, width)
-    inside = browser.execute_script("return document.documentElement.scrollWidth")
-    assert inside == width
-    shown = browser.find_elements(By.CSS_SELECTOR, "figure > img")
-    visible = [image for image in shown if image.is_displayed()]
-    assert len(visible) > 10
+    assert window.value("document.documentElement.scrollWidth") == size[0]
+    images = window.driver.find_elements("css selector", "figure > img")
+    visible = [image for image in images if image.is_displayed()]
+    assert len(visible) == 2 * (2 + 1 + run_report.CARDS) + 1
     for image in (visible[0], visible[1], visible[-1]):
-        colours = np.unique(pixels(image).reshape(-1, 3), axis=0)
-        assert len(colours) > 20
-        assert 0.6 * min(width, 300) < image.size["width"] < width
+        assert 0.25 * size[0] < image.size["width"] < size[0]
+        assert len(np.unique(pixels(image.screenshot_as_png).reshape(-1, 3), axis=0)) > 20
 
 
-def test_letters_of_pictures_can_be_read_on_a_phone(browser):
-    """The smallest ones are set in 9 pt of figures that shrink to the window's width."""
-    shown_as(browser, 400)
-    shrunk = browser.execute_script(
-        "return [...document.querySelectorAll('section figure:not(.wide *) > img')].filter(each => each.width)"
+def test_letters_of_pictures_can_be_read(window):
+    """The smallest ones are set in 9 pt, in figures that shrink to the window's width."""
+    shrunk = window.value(
+        "[...document.querySelectorAll('figure > img')].filter(each => each.offsetParent && !each.closest('.wide'))"
         ".map(each => each.width / each.naturalWidth)"
     )
     assert len(shrunk) > 10
     assert min(shrunk) * 9.0 * 96.0 / 72.0 > 8.0
 
 
-def test_pictures_are_dark_on_a_dark_page(browser):
-    for dark, paper in ((False, WHITE), (True, DARK[WHITE])):
-        shown_as(browser, 1280, dark)
-        image = browser.find_element(By.CSS_SELECTOR, "figure > img")
-        for shown in (browser, image):
-            picture = pixels(shown)
-            near = np.abs(picture - np.array(to_rgb(paper))).max(-1) < 0.02
-            assert near.mean() > 0.5
-            assert near.mean() < 0.995
+def test_page_and_pictures_are_dark_where_dark_pages_are_preferred(window):
+    for scheme, paper in (("dark", DARK[WHITE]), ("light", WHITE)):
+        prefer(window.driver, scheme)
+        for png in (window.driver.get_screenshot_as_png(), window.find("figure > img").screenshot_as_png):
+            same = np.abs(pixels(png) - np.array(to_rgb(paper))).max(-1) < 0.02
+            assert 0.5 < same.mean() < 0.995
 
 
-def test_what_is_folded_opens_by_keyboard(browser):
-    shown_as(browser, 1280)
-    folded = browser.find_elements(By.TAG_NAME, "details")
-    assert [each.find_element(By.TAG_NAME, "summary").text for each in folded] == [
-        *(2 * ["All figures, and ratios to every baseline", "The other 2", "Courses and legs of every policy"]),
+def test_what_is_folded_opens_by_keyboard(window):
+    folded = window.driver.find_elements("tag name", "details")
+    assert [each.find_element("tag name", "summary").text for each in folded] == [
+        *(2 * [run_report.EVERYTHING, "The other 2", "Courses and legs of every policy"]),
         "Preset of the algorithm", f"All {len(fields(TwoStation()))} fields",
     ]  # fmt: skip
     for each in folded:
-        first = each.find_element(By.CSS_SELECTOR, "table, img")
-        assert not first.is_displayed()
-        each.find_element(By.TAG_NAME, "summary").send_keys(Keys.ENTER)
-        assert first.is_displayed()
-        each.find_element(By.TAG_NAME, "summary").send_keys(Keys.ENTER)
+        inside, title = each.find_element("css selector", "table, img"), each.find_element("tag name", "summary")
+        assert not inside.is_displayed()
+        title.send_keys(ENTER)
+        assert inside.is_displayed()
+        title.send_keys(ENTER)
+        assert not inside.is_displayed()
 
 
-def test_links_lead_to_their_parts(browser):
-    shown_as(browser, 1280)
-    for link in browser.find_elements(By.CSS_SELECTOR, "nav a"):
-        link.send_keys(Keys.ENTER)
-        place = f"return document.querySelector('{link.get_attribute('hash')}').getBoundingClientRect().top"
-        seen = browser.execute_script(place)
-        at_the_end = browser.execute_script("return innerHeight + scrollY >= document.documentElement.scrollHeight - 1")
-        assert abs(seen) < 5.0 or (at_the_end and 0.0 < seen < 900.0)
+def test_links_lead_to_their_parts(window, size):
+    links = window.driver.find_elements("css selector", "nav a")
+    assert len(links) == 5
+    for link in links:
+        link.send_keys(ENTER)
+        top = window.value(f"document.querySelector('{link.get_attribute('hash')}').getBoundingClientRect().top")
+        at_the_end = window.value("innerHeight + scrollY > document.documentElement.scrollHeight - 2")
+        assert abs(top) < 5.0 or (at_the_end and 0.0 < top < size[1])
