@@ -202,13 +202,18 @@ def gather(runs: Sequence[Run]) -> dict[str, Curve]:
     Raises:
         ValueError: no such quantity, or runs that share no step.
     """
-    logged = set.intersection(*(set(run.series) for run in runs))
-    wanted = [RATIO, *sorted(n for n in logged if n.startswith("eval/final_") and n.endswith("_error_m")), REWARD]
-    shown = [name for name in wanted if name in logged]
+    shown = quantities(runs)
     if not shown:
         has = "; ".join(f"{run.folder}: {', '.join(sorted(run.series)) or 'nothing'}" for run in runs)
         raise ValueError(f"no {RATIO}, eval/final_…_error_m or {REWARD} that all runs have logged ({has})")
     return {name: _curve(name, runs) for name in shown}
+
+
+def quantities(runs: Sequence[Run]) -> list[str]:
+    """Names of what is drawn and all runs have logged, in the order of the panels."""
+    logged = set.intersection(*(set(run.series) for run in runs))
+    wanted = [RATIO, *sorted(n for n in logged if n.startswith("eval/final_") and n.endswith("_error_m")), REWARD]
+    return [name for name in wanted if name in logged]
 
 
 def _curve(name: str, runs: Sequence[Run]) -> Curve:
@@ -238,18 +243,20 @@ def as_csv(curves: Mapping[str, Curve], labels: Sequence[int]) -> str:
 
 
 def picture(curves: Mapping[str, Curve], heading: str) -> Figure:
-    """A panel per quantity over environment steps: median, range, and faintly every run."""
+    """A panel per quantity over environment steps: median, range, and faintly every run; a single run as it is."""
     figure = Figure(figsize=(7.5, 0.6 + 2.6 * len(curves)), dpi=DPI, layout="constrained")
-    figure.suptitle(heading, fontsize=12, color=INK)
+    if heading:
+        figure.suptitle(heading, fontsize=12, color=INK)
     panels: list[Axes] = list(np.atleast_1d(figure.subplots(len(curves), 1, sharex=True)))
     for axes, (name, curve) in zip(panels, curves.items(), strict=True):
-        style_diagram(axes, "", WORDS.get(name, _error_words(name)))
-        axes.fill_between(
-            curve.steps, curve.values.min(0), curve.values.max(0), color=GOOD, alpha=0.2, linewidth=0.0, label="range"
-        )
-        axes.plot(curve.steps, curve.values.T, color=GOOD, linewidth=0.6, alpha=0.5)
-        marker = "o" if len(curve.steps) < 30 else ""
-        axes.plot(curve.steps, curve.median(), color=GOOD, linewidth=2.0, marker=marker, markersize=4, label="median")
+        style_diagram(axes, "", words_of(name))
+        several = len(curve.values) > 1
+        if several:
+            low, high = curve.values.min(0), curve.values.max(0)
+            axes.fill_between(curve.steps, low, high, color=GOOD, alpha=0.2, linewidth=0.0, label="range")
+            axes.plot(curve.steps, curve.values.T, color=GOOD, linewidth=0.6, alpha=0.5)
+        marker, label = "o" if len(curve.steps) < 30 else "", "median" if several else "this run"
+        axes.plot(curve.steps, curve.median(), color=GOOD, linewidth=2.0, marker=marker, markersize=4, label=label)
         if name == RATIO:
             axes.axhline(1.0, color=MUTED, linestyle=":", label="the rule")
         axes.margins(x=0.01)
@@ -259,6 +266,6 @@ def picture(curves: Mapping[str, Curve], heading: str) -> Figure:
     return figure
 
 
-def _error_words(name: str) -> str:
-    """'final range error [m]' of 'eval/final_range_error_m'."""
-    return name.removeprefix("eval/").removesuffix("_m").replace("_", " ") + " [m]"
+def words_of(name: str) -> str:
+    """A quantity in words: 'final range error [m]' of 'eval/final_range_error_m'."""
+    return WORDS[name] if name in WORDS else name.removeprefix("eval/").removesuffix("_m").replace("_", " ") + " [m]"

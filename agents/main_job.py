@@ -10,12 +10,16 @@ from typing import Any
 from agents.evaluation import fly_all, summarize, unique_names
 from agents.files import make_folder
 from agents.learned import is_trained, open_policy
+from agents.page import fragment
 from agents.policy import Policy, make_policy, policy_names, sees_world
 from agents.pretrained import PRETRAINED, load_pretrained, pretrained_ids, sees_alike
 from agents.report import as_markdown, crossing_as_markdown, write_crossing, write_evaluation
+from agents.run_report import REPORT, Comparison, Settings, command_line, comparison, duration, write_run_report
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 HELD_OUT = "held-out"
+LEARNED = "learned"
+"""Name of policies that were trained, in tables."""
 FINAL_SEED = 30_000_000
 """Seed of the first episode of final evaluations."""
 
@@ -38,9 +42,33 @@ def train_and_compare(
     train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
     policies = (*_standard_policies(name, fields), str(folder))
-    compare(env, policies, (), episodes, FINAL_SEED, None, folder, fields)
-    compare(env, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields)
+    flown = [
+        *_compared(name, policies, (), episodes, FINAL_SEED, None, folder, fields, LEARNED),
+        *_compared(name, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields, LEARNED),
+    ]
+    write_run_report(folder, _trained(run, episodes, flights), flown)
+    print(f"\n{folder / REPORT}")
     return folder
+
+
+def _trained(run: Any, episodes: int, flights: str) -> Settings:
+    """What a report says of a training, apart from the comparisons."""
+    from agents.training import training_seconds
+
+    asked = {
+        "env": environment_id(run.scenario_name), "algo": run.algo, "timesteps": run.timesteps, "seed": run.seed,
+        "envs": run.envs, "device": run.device, "episodes": episodes, "flights": flights, "fields": run.fields,
+    }  # fmt: skip
+    seconds = training_seconds(run.folder)
+    took = "" if seconds is None else f", in {duration(seconds)}"
+    return Settings(
+        title=f"{run.scenario_name}: learned by {run.algo}, seed {run.seed}",
+        command=command_line("train", asked | {"out": "DIR"}),
+        settings=asked,
+        folder=run.folder,
+        preset=run.preset,
+        tiles={f"steps of training{took}": f"{run.timesteps:,}"},
+    )
 
 
 def compare(
@@ -57,11 +85,35 @@ def compare(
         policies = [*_standard_policies(name, fields), *_pretrained(name, fields)]
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
+    flown = _compared(name, policies, trackers, episodes, seed, flights, out, fields)
+    summaries = {each.summary["tracker"]: each.summary for each in flown}
+    preface = ""
+    if len(flown) > 1:
+        write_crossing(out, summaries)
+        crossing = crossing_as_markdown(summaries)
+        preface = f"<section><h2>Trackers and policies</h2>{fragment(crossing, name='Trackers and policies')}</section>"
+        print(f"\n{out}\n\n{crossing}")
+    asked = {
+        "policies": policies, "trackers": trackers, "episodes": episodes, "seed": seed, "fields": fields,
+        "flights": flights,
+    }  # fmt: skip
+    command = command_line("evaluate", asked | {"out": "DIR"}, environment_id(name))
+    title = f"{name}: {len(policies)} {'policy' if len(policies) == 1 else 'policies'} compared"
+    write_run_report(out, Settings(title, command, {"env": environment_id(name)} | asked, preface=preface), flown)
+    print(f"\n{out / REPORT}")
+    return flown[0].summary if len(flown) == 1 else summaries
+
+
+def _compared(
+    name: str, policies: Sequence[str], trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
+    out: Path, fields: dict[str, Any], focus: str = "",
+) -> list[Comparison]:  # fmt: skip
+    """Fly policies with every tracker, write the files and print the tables; the policy in focus leads a report."""
     base = make_scenario(name, fields) if flights is None else flown_by(name, flights, fields)
     scenarios = {tracker: base.replace(tracker=tracker) for tracker in trackers} or {"": base}
     teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
     make_folder(out)
-    summaries = {}
+    flown = []
     for tracker, scenario in scenarios.items():
         records = fly_all(scenario, teams[tracker], episodes, seed)
         summary = summarize(environment_id(name), seed, records)
@@ -69,12 +121,15 @@ def compare(
         folder = out / tracker if len(scenarios) > 1 else out
         write_evaluation(folder, summary, records, scenario)
         print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
-        summaries[tracker] = summary
-    if len(summaries) == 1:
-        return next(iter(summaries.values()))
-    write_crossing(out, summaries)
-    print(f"\n{out}\n\n{crossing_as_markdown(summaries)}")
-    return summaries
+        flown.append(comparison(_heading(scenario, len(scenarios) > 1), summary, records, scenario, focus))
+    return flown
+
+
+def _heading(scenario: Any, crossed: bool) -> str:
+    """What was compared, in words."""
+    if crossed:
+        return f"Tracker {scenario.tracker}"
+    return {"random": "Drawn courses", "flights": "Recorded flights"}.get(scenario.course, f"Course {scenario.course}")
 
 
 def flown_by(name: str, flights: str, fields: dict[str, Any]) -> Any:
@@ -110,7 +165,7 @@ def _check_numbers(episodes: int, seed: int) -> None:
 
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     known = [*policy_names(scenario), PRETRAINED]
-    labels = unique_names([name if name in known else "learned" for name in names])
+    labels = unique_names([name if name in known else LEARNED for name in names])
     return {
         label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)
     }

@@ -28,31 +28,41 @@ def as_page(text: str, title: str, folder: Path, marks: tuple[str, ...] = ()) ->
     Raises:
         FileNotFoundError: a picture is missing.
     """
-    body = markdown.markdown(text, extensions=["tables", "toc", _SelfContained(folder, marks)], output_format="html")
-    shell = Template((resources.files("agents") / "page.html").read_text(encoding="utf-8"))
-    return shell.substitute(title=html.escape(title), body=body)
+    return shell(title, fragment(text, folder, marks))
+
+
+def fragment(text: str, folder: Path = Path(), marks: tuple[str, ...] = (), name: str = "") -> str:
+    """What stands between a page's head and foot; arguments as of `as_page`, and a name for what has no heading."""
+    extensions = ["tables", "toc", _SelfContained(folder, marks, name)]
+    return markdown.markdown(text, extensions=extensions, output_format="html")
+
+
+def shell(title: str, body: str) -> str:
+    """The page around a body of HTML."""
+    page = Template((resources.files("agents") / "page.html").read_text(encoding="utf-8"))
+    return page.substitute(title=html.escape(title), body=body)
 
 
 class _SelfContained(Extension):
     """Adds `_Insides` to the conversion."""
 
-    def __init__(self, folder: Path, marks: tuple[str, ...]):
+    def __init__(self, folder: Path, marks: tuple[str, ...], name: str):
         super().__init__()
-        self._folder, self._marks = folder, marks
+        self._settings = folder, marks, name
 
     def extendMarkdown(self, md: markdown.Markdown) -> None:
         """Called by the library. HTML in the text stays text; the tree changes after its inline parts (20) are made."""
         md.preprocessors.deregister("html_block")
         md.inlinePatterns.deregister("html")
-        md.treeprocessors.register(_Insides(md, self._folder, self._marks), "insides", 3)
+        md.treeprocessors.register(_Insides(md, *self._settings), "insides", 3)
 
 
 class _Insides(Treeprocessor):
     """Pictures as data, headers with scope, tables in named regions that scroll by touch and by keyboard."""
 
-    def __init__(self, md: markdown.Markdown, folder: Path, marks: tuple[str, ...]):
+    def __init__(self, md: markdown.Markdown, folder: Path, marks: tuple[str, ...], name: str):
         super().__init__(md)
-        self._folder, self._marks = folder, marks
+        self._folder, self._marks, self._name = folder, marks, name
 
     def run(self, root: Element) -> None:
         """Change the tree in place."""
@@ -68,7 +78,7 @@ class _Insides(Treeprocessor):
 
     def _frame_tables(self, root: Element) -> None:
         """Tables stand at the top level; each region bears the heading above it."""
-        name = ""
+        name = self._name
         for i, block in enumerate(list(root)):
             if block.tag in HEADINGS:
                 name = "".join(block.itertext())

@@ -20,8 +20,8 @@ from passive_env import artists
 from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, curve_color, series_color
 
 DPI = 150
-PANEL_IN = 4.4
-"""Width and height of one map of `geometry`."""
+PANEL_IN, CARD_IN = 4.4, 3.6
+"""Width and height of one map of `geometry`, and of one that stands alone."""
 DIAGRAM_IN = 1.5
 """Height of the diagram below it."""
 ERROR_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 2.0}
@@ -145,18 +145,45 @@ def geometry(time_s: Any, paths: Mapping[str, EpisodePaths], title: str) -> Figu
         ValueError: no policy, or errors or bounds of another shape than [k + 1, m].
     """
     _check_paths(time_s, paths)
-    figure, maps, diagrams = _panels(len(paths), next(iter(paths.values())).error)
+    bottom = 1.6 if len(paths) == 1 else 1.2  # a narrow legend is a high one
+    figure, maps, diagrams = _panels(len(paths), next(iter(paths.values())).error, PANEL_IN, bottom, 0.4)
     frame, limits = _common_frame(paths), _common_errors_km(paths)
     for axes, below, (name, episode) in zip(maps, diagrams, paths.items(), strict=True):
-        _panel(axes, episode, frame)
-        _errors_below(below, time_s, episode, limits)
-        final = artists.kilometres(np.mean(episode.error_m[-1]))
-        axes.set_title(f"{name}: {final} off at the end", fontsize=11.5, color=INK)
+        _map_and_errors(axes, below, time_s, name, episode, frame, limits)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.12 / figure.get_figheight(), va="top")
     samples = _geometry_samples(next(iter(paths.values())))
     columns = min(len(samples), int(figure.get_figwidth() / 2.3))
     figure.legend(handles=samples, loc="lower center", ncols=columns, fontsize=9.5, frameon=False, labelcolor=INK)
     return figure
+
+
+def geometry_cards(time_s: Any, paths: Mapping[str, EpisodePaths]) -> dict[str, Figure]:
+    """The maps of `geometry` with their diagrams as a figure per policy, on the same axes; arguments as there."""
+    _check_paths(time_s, paths)
+    frame, limits = _common_frame(paths), _common_errors_km(paths)
+    cards = {}
+    for name, episode in paths.items():
+        cards[name], (axes,), (below,) = _panels(1, episode.error, CARD_IN, 0.55, 0.0)
+        _map_and_errors(axes, below, time_s, name, episode, frame, limits)
+    return cards
+
+
+def geometry_legend(episode: EpisodePaths) -> Figure:
+    """What the signs of `geometry_cards` mean."""
+    samples = _geometry_samples(episode)
+    figure = Figure(figsize=(4.7, 0.1 + 0.26 * math.ceil(len(samples) / 2)), dpi=DPI)
+    figure.legend(handles=samples, loc="center", ncols=2, fontsize=9.5, frameon=False, labelcolor=INK, borderpad=0.0)
+    return figure
+
+
+def _map_and_errors(
+    axes: Axes, below: Axes, time_s: Any, name: str, episode: EpisodePaths, frame: artists.Frame,
+    limits: tuple[float, float],
+) -> None:  # fmt: skip
+    _panel(axes, episode, frame)
+    _errors_below(below, time_s, episode, limits)
+    final = artists.kilometres(np.mean(episode.error_m[-1]))
+    axes.set_title(f"{name}: {final} off at the end", fontsize=11.5, color=INK)
 
 
 def _check_paths(time_s: Any, paths: Mapping[str, EpisodePaths]) -> None:
@@ -177,22 +204,26 @@ def _geometry_samples(episode: EpisodePaths) -> list[Any]:
     return [*samples, *_error_samples(episode.error)]
 
 
-def _panels(count: int, error: str) -> tuple[Figure, list[Axes], list[Axes]]:
-    """A figure of equal square maps, each with a diagram below, laid out in inches; only outer ones carry labels."""
+def _panels(
+    count: int, error: str, panel_in: float, bottom: float, top: float
+) -> tuple[Figure, list[Axes], list[Axes]]:
+    """A figure of equal square maps, each with a diagram below, laid out in inches; only outer ones carry labels.
+
+    Bottom and top are the room for labels and a legend, and for the figure's title.
+    """
     columns = {1: 1, 2: 2, 4: 2, 7: 4, 8: 4}.get(count, 3)
     rows = math.ceil(count / columns)
-    left, right, bottom, top, between, title, gap = 0.75, 0.2, 1.2, 0.4, 0.35, 0.4, 0.65
-    bottom += 0.4 * (count == 1)  # a narrow legend is a high one
-    row_height, row_gap = title + PANEL_IN + gap + DIAGRAM_IN, 0.6
-    width = left + columns * (PANEL_IN + between) - between + right
+    left, right, between, title, gap = 0.75, 0.2, 0.35, 0.4, 0.65
+    row_height, row_gap = title + panel_in + gap + DIAGRAM_IN, 0.6
+    width = left + columns * (panel_in + between) - between + right
     figure = Figure(figsize=(width, bottom + rows * (row_height + row_gap) - row_gap + top), dpi=DPI)
     maps, diagrams = [], []
     for i in range(count):
         row, column = divmod(i, columns)
-        x, y = left + column * (PANEL_IN + between), bottom + (rows - 1 - row) * (row_height + row_gap)
-        axes = axes_at(figure, x, y + DIAGRAM_IN + gap, PANEL_IN, PANEL_IN)
+        x, y = left + column * (panel_in + between), bottom + (rows - 1 - row) * (row_height + row_gap)
+        axes = axes_at(figure, x, y + DIAGRAM_IN + gap, panel_in, panel_in)
         artists.style_axes(axes)
-        below = axes_at(figure, x, y, PANEL_IN, DIAGRAM_IN)
+        below = axes_at(figure, x, y, panel_in, DIAGRAM_IN)
         style_diagram(below, "time [s]", f"{error} error [km]")
         if column > 0:
             _hide_left_labels(axes, below)

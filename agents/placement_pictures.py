@@ -37,20 +37,46 @@ def placement_maps(worlds: Mapping[str, World], scenario: Any, title: str) -> Fi
         title: of the figure.
     """
     figure, panels = _sheet(len(worlds), title)
-    promise = Promise(scenario)
-    maps = {name: _promised(promise, world) for name, world in worlds.items()}
-    everywhere = np.concatenate([part.ravel() for pair in maps.values() for _, part in pair])
-    norm = LogNorm(everywhere.min(), max(everywhere.max(), 1.001 * everywhere.min()))
-    paper = worlds["paper"].platforms[0, -1, :3] if "paper" in worlds else None
-    for (name, world), (above, side) in zip(worlds.items(), panels, strict=True):
-        shown = _draw(above, side, world, maps[name], norm, scenario, paper)
+    draw = _Drawing(worlds, scenario)
+    for name, (above, side) in zip(worlds, panels, strict=True):
+        shown = draw(name, above, side)
+    _color_bar(figure, shown)
+    return figure
+
+
+def placement_cards(worlds: Mapping[str, World], scenario: Any) -> dict[str, Figure]:
+    """The same as a figure per policy, all in the same colours; arguments as there."""
+    draw, cards = _Drawing(worlds, scenario), {}
+    for name in worlds:
+        cards[name], (panel,) = _sheet(1, "")
+        _color_bar(cards[name], draw(name, *panel))
+    return cards
+
+
+class _Drawing:
+    """Draws one policy's map and heights after another, in the colours that all share."""
+
+    def __init__(self, worlds: Mapping[str, World], scenario: Any):
+        promise = Promise(scenario)
+        self._worlds, self._scenario = worlds, scenario
+        self._maps = {name: _promised(promise, world) for name, world in worlds.items()}
+        everywhere = np.concatenate([part.ravel() for pair in self._maps.values() for _, part in pair])
+        self._norm = LogNorm(everywhere.min(), max(everywhere.max(), 1.001 * everywhere.min()))
+        self._paper = worlds["paper"].platforms[0, -1, :3] if "paper" in worlds else None
+
+    def __call__(self, name: str, above: Axes, side: Axes) -> Any:
+        """Returns what the colour bar is of."""
+        world = self._worlds[name]
         above.set_title(f"{name}: {world.metrics.position_crlb_m[0, 0]:.0f} m", loc="left", fontsize=10, color=INK)
+        return _draw(above, side, world, self._maps[name], self._norm, self._scenario, self._paper)
+
+
+def _color_bar(figure: Figure, shown: Any) -> None:
     width, height = figure.get_size_inches()
     bar = figure.colorbar(shown, cax=axes_at(figure, width - BAR_IN, 0.25 * height, 0.18, 0.5 * height))
     for axis in ("major", "minor"):
         getattr(bar.ax.yaxis, f"set_{axis}_formatter")(FuncFormatter(lambda value, _: f"{value:.0f}"))
     bar.set_label("promised position error at the last scan, 1σ [m]", fontsize=9, color=INK)
-    return figure
 
 
 def _promised(promise: Promise, world: World) -> tuple[tuple[np.ndarray, np.ndarray], ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
 from agents.pictures import EpisodePaths
 from agents.placement_pictures import placement_maps
+from passive_env.catalogue.maneuvering import ManeuveringTarget
 from passive_env.catalogue.mobile_placement import MobilePlacement
 from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.catalogue.placement import RadarPlacement
@@ -33,6 +34,29 @@ LEVEL = {
 """Averages of errors in the plane, of all steps and of a settled track's, and of height errors, and their names."""
 ZONES = {"standoff_share": "in rings", "nogo_share": "in discs"}
 """Shares of the steps, shown where any policy enters a stand-off ring or a no-go disc."""
+HEADLINES = {
+    ManeuveringTarget: "turn_position_error_m",
+    MobilePlacement: "mean_position_error_m",
+    PassiveRadar: "mean_position_error_m",
+}
+"""The error by which policies are ranked, where it is not the final one: that during maneuvers (the time average, if
+not even half of the episodes have any), and the time average where every step counts alike."""
+
+VERDICTS = ("ahead", "level", "behind")
+"""Whether the interval of a ratio lies below 1, holds it, or lies above."""
+
+
+def headline(scenario: Any, shares: Mapping[str, float]) -> str:
+    """Name of the error by which policies are ranked; shares: of episodes that have each, by name."""
+    usual, average, *_ = shares
+    wanted = next((name for family, name in HEADLINES.items() if isinstance(scenario, family)), usual)
+    return wanted if shares.get(wanted, 0.0) > 0.5 else average
+
+
+def verdict(ci95: Sequence[float]) -> str:
+    """Of a ratio's interval; see `VERDICTS`."""
+    low, high = ci95
+    return "ahead" if high < 1.0 else "behind" if low > 1.0 else "level"
 
 
 def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, Record], scenario: Any) -> list[Path]:
@@ -58,18 +82,35 @@ def write_evaluation(out: Path, summary: dict[str, Any], records: Mapping[str, R
 
 def _of_geometry(title: str, records: Mapping[str, Record], scenario: Any, times: Any) -> list[tuple[str, Any]]:
     """File names and figures of what the policies did."""
-    paths: dict[str, Any] = {name: record.paths for name, record in records.items()}
+    paths = flown_paths(records, scenario)
     if isinstance(scenario, RadarPlacement):
         return [("placement.png", placement_maps(paths, scenario, f"{title}: the first one"))]
-    if isinstance(scenario, MobilePlacement):
-        installed = {name: _installed(path) for name, path in paths.items()}
-        return [("geometry.png", pictures.geometry(times, installed, f"{title}: the first one"))]
     geometry = pictures.geometry(times, paths, f"{title}: the first one")
-    if not scenario.moves:
+    if not has_courses(scenario):
         return [("geometry.png", geometry)]
-    flown = {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
     platform = "the reference station's courses" if scenario.stations > 1 else "courses"
-    return [("geometry.png", geometry), ("maneuvers.png", maneuvers(times, flown, f"{title}: {platform} and legs"))]
+    return [
+        ("geometry.png", geometry),
+        ("maneuvers.png", maneuvers(times, courses(records), f"{title}: {platform} and legs")),
+    ]
+
+
+def flown_paths(records: Mapping[str, Record], scenario: Any) -> dict[str, Any]:
+    """What every policy did in the first episode, as it is drawn."""
+    paths: dict[str, Any] = {name: record.paths for name, record in records.items()}
+    if isinstance(scenario, MobilePlacement):
+        return {name: _installed(path) for name, path in paths.items()}
+    return paths
+
+
+def has_courses(scenario: Any) -> bool:
+    """Whether platforms fly courses that a policy decides."""
+    return not isinstance(scenario, (RadarPlacement, MobilePlacement)) and scenario.moves
+
+
+def courses(records: Mapping[str, Record]) -> dict[str, Maneuvers]:
+    """How every policy's last platform flew, in all episodes."""
+    return {name: Maneuvers(record.off_sight_rad[..., -1], record.turns[..., -1]) for name, record in records.items()}
 
 
 def _installed(paths: EpisodePaths) -> EpisodePaths:

@@ -481,7 +481,7 @@ def evaluate(*arguments) -> int:
 def test_evaluate_command_writes_and_prints_the_comparison(tmp_path, capsys):
     out = tmp_path / "out"
     assert evaluate("--policies", "paper", "rule", "straight", "--episodes", 3, "--seed", 5, "--out", out) == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | {"report.html"}
     summary = json.loads((out / "evaluation.json").read_text())
     assert list(summary["policies"]) == ["paper", "rule", "straight"]
     assert (summary["episodes"], summary["seed"], summary["environment"]) == (3, 5, "passive/TwoStation-v0")

@@ -91,6 +91,15 @@ def test_picture_shows_what_was_computed(five):
     assert figure.get_suptitle() == "five"
 
 
+def test_a_single_run_is_drawn_as_it_is(five):
+    figure = picture(gather([read_run(five[0])]), "")
+    (line,) = (line for line in figure.axes[0].lines if line.get_label() == "this run")
+    np.testing.assert_allclose(line.get_ydata(), [1.5, 1.0, 0.5], rtol=1e-6)
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert labels == ["this run", "the rule"]
+    assert figure.get_suptitle() == ""
+
+
 def test_command_names_environment_algorithm_and_files(five, tmp_path, capsys):
     out = tmp_path / "deep" / "curves.png"
     assert cli.main(["curves", *map(str, five), "--out", str(out)]) == 0

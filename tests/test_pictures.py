@@ -12,7 +12,16 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.text import Text
 
 from agents.maneuvers import Maneuvers, angle_quantiles_deg, first_side_share, leg_steps, maneuvers
-from agents.pictures import LABEL_GAP, EpisodePaths, error_over_time, geometry, ratio_chart, reward_curve
+from agents.pictures import (
+    LABEL_GAP,
+    EpisodePaths,
+    error_over_time,
+    geometry,
+    geometry_cards,
+    geometry_legend,
+    ratio_chart,
+    reward_curve,
+)
 from passive_env import artists
 from passive_env.palette import BAD, GOOD, MUTED, SERIES
 
@@ -157,6 +166,35 @@ def test_zones_are_drawn_and_named_where_there_are_any():
     outlines = [path.vertices for part in within.axes[0].collections for path in part.get_paths()]
     for center, radius in [*((1e-3 * disc[:2], 1e-3 * disc[2]) for disc in discs), (1e-3 * zoned.targets[-1, 1], 10.0)]:
         assert any(np.allclose(np.hypot(*(outline - center).T), radius) for outline in outlines if len(outline))
+
+
+def test_cards_are_the_panels_of_geometry_one_by_one():
+    shown = {f"policy {i}": episode(0.1 * i) for i in range(3)}
+    whole, cards = geometry(TIME_S, shown, "Title"), geometry_cards(TIME_S, shown)
+    assert list(cards) == list(shown)
+    for i, card in enumerate(cards.values()):
+        assert_is_picture(card)
+        for ours, panel in zip(card.axes, whole.axes[2 * i : 2 * i + 2], strict=True):
+            assert ours.get_title() == panel.get_title()
+            assert (ours.get_xlim(), ours.get_ylim()) == (panel.get_xlim(), panel.get_ylim())
+            for line, same in zip(ours.lines, panel.lines, strict=True):
+                assert np.array_equal(line.get_xydata(), same.get_xydata())
+        boxes = [axes.get_tightbbox() for axes in card.axes]
+        assert not boxes[0].overlaps(boxes[1])
+        assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= card.bbox.x1 and box.y1 <= card.bbox.y1 for box in boxes)
+
+
+def test_the_key_of_cards_names_what_geometry_names():
+    zoned = episode()._replace(discs=np.array([[30e3, 30e3, 5e3]]), standoff_m=10e3)
+    key = geometry_legend(zoned)
+    assert_is_picture(key)
+    (whole,), (ours,) = (figure.legends for figure in (geometry(TIME_S, {"x": zoned}, "T"), key))
+    assert [text.get_text() for text in ours.get_texts()] == [text.get_text() for text in whole.get_texts()]
+    box = ours.get_window_extent()
+    assert box.x0 >= 0
+    assert box.y0 >= 0
+    assert box.x1 <= key.bbox.x1
+    assert box.y1 <= key.bbox.y1
 
 
 def test_geometry_says_which_figures_do_not_fit():

@@ -7,10 +7,11 @@ from itertools import pairwise
 import gymnasium as gym
 import numpy as np
 import pytest
+from matplotlib.collections import QuadMesh
 
 from agents.evaluation import fly, fly_all, summarize
 from agents.placement import PLACEMENT, RULES, Promise, commands_of, layout_commands, spaced, stacked, stacked_or_even
-from agents.placement_pictures import placement_maps
+from agents.placement_pictures import placement_cards, placement_maps
 from agents.policy import make_policy, policy_names
 from agents.report import as_markdown, write_evaluation
 from agents.sb3 import Sb3VecEnv
@@ -381,6 +382,13 @@ def test_maps_show_every_policys_last_sensor_and_the_papers():
     for axes in maps:
         crosses = [line for line in axes.lines if line.get_marker() == "x"]
         np.testing.assert_allclose([line.get_xydata()[0] for line in crosses], [paper])
+    cards = placement_cards(worlds, scenario)
+    assert list(cards) == ["paper", "rule"]
+    for card, axes in zip(cards.values(), maps, strict=True):
+        (mesh,), (same,) = card.axes[0].findobj(QuadMesh), axes.findobj(QuadMesh)
+        np.testing.assert_array_equal(mesh.get_array(), same.get_array())
+        assert mesh.get_clim() == same.get_clim()
+        assert card.axes[0].get_title(loc="left") == axes.get_title(loc="left")
 
 
 def test_learners_see_it():

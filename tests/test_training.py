@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -143,6 +144,16 @@ def test_the_train_command_trains_and_compares(tmp_path, capsys, monkeypatch):
         assert {"paper", "rule", "learned"} <= set(summary["policies"])
         assert summary["fields"] == {"bearing_std_deg": 0.7}
         assert {path.name for path in folder.glob("evaluation.*")} == {f"evaluation.{s}" for s in ("json", "csv", "md")}
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert re.findall(r"<h2[^>]*>(.*?)</h2>", text) == [
+        "Drawn courses", "Recorded flights", "Learning curves", "Configuration", "How to repeat it",
+    ]  # fmt: skip
+    assert "return of an episode:" in text
+    (command,) = re.findall(r"<pre><code>(.*?)</code></pre>", text)
+    assert re.sub("<.*?>", "", command) == (
+        f"passive-env train --env {ID} --algo ppo --timesteps 360 --seed 0 --envs 8 --device cpu --episodes 3 "
+        "--flights held-out --fields bearing_std_deg=0.7 --out DIR"
+    )
     assert "| learned |" in printed
     assert str(out) in printed
     assert main(["train", *arguments]) == 2

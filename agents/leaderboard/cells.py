@@ -36,7 +36,7 @@ SHARES = ("lost", "collapsed", "nees", "standoff", "nogo")
 ROOT = Path(__file__).parents[2]
 SHOWING = (
     "artists", "cli", "curves", "main_job", "maneuvers", "mixture", "model_card", "pack", "page", "palette", "pictures",
-    "placement_pictures", "provenance", "registration", "report", "training", "tuning",
+    "placement_pictures", "provenance", "registration", "report", "run_report", "svg", "training", "tuning",
 )  # fmt: skip
 """Modules that draw, write and train: no episode depends on them."""
 

@@ -9,27 +9,14 @@ import numpy as np
 
 from agents.evaluation import RESAMPLES, Outcomes, figures_of
 from agents.leaderboard.contestants import KINDS, Contestant
-from agents.report import metrics_of
-from passive_env.catalogue.maneuvering import ManeuveringTarget
-from passive_env.catalogue.mobile_placement import MobilePlacement
-from passive_env.catalogue.passive_radar import PassiveRadar
-
-HEADLINES = {
-    ManeuveringTarget: "turn_position_error_m",
-    MobilePlacement: "mean_position_error_m",
-    PassiveRadar: "mean_position_error_m",
-}
-"""The error by which policies are ranked, where it is not the final one: that during maneuvers (the time average, if
-not even half of the episodes have any), and the time average where every step counts alike."""
+from agents.report import headline as headline_of
+from agents.report import metrics_of, verdict
 
 CHUNK = 1_000_000
 """Numbers resampled at once."""
 
 BASES = ("rule", "greedy")
 """Kinds whose best policy learned ones are compared with."""
-
-VERDICTS = ("ahead", "level", "behind")
-"""Whether the interval of a ratio lies below 1, holds it, or lies above."""
 
 
 class Resamples(NamedTuple):
@@ -58,12 +45,6 @@ def interval(resamples: np.ndarray) -> list[float]:
     return [float(low), float(high)]
 
 
-def verdict(ci95: Sequence[float]) -> str:
-    """Of a ratio's interval; see `VERDICTS`."""
-    low, high = ci95
-    return "ahead" if high < 1.0 else "behind" if low > 1.0 else "level"
-
-
 def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, Outcomes], seed: int) -> dict[str, Any]:
     """The standing of policies on the same tapes, as plain data.
 
@@ -83,7 +64,7 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
     for name, figures in policies.items():
         for metric in metrics:
             figures[metric]["ci95"] = interval(drawn[name][metric].mean)
-    headline = _headline(scenario, {name: len(first.samples[name]) / len(first.lost) for name in metrics})
+    headline = headline_of(scenario, {name: len(first.samples[name]) / len(first.lost) for name in metrics})
     best = _best_of_kinds(policies, headline)
     reference = _least([best[kind] for kind in ("fixed", "rule") if kind in best] or list(policies), policies, headline)
     for name, figures in policies.items():
@@ -131,13 +112,6 @@ def _figures(field: Sequence[Contestant], outcomes: Mapping[str, Outcomes]) -> t
     metrics = metrics_of({"score": outcomes[field[0].name].score, "policies": policies})
     drawn = {one.name: {name: resample(outcomes[one.name].samples[name]) for name in metrics} for one in field}
     return policies, metrics, drawn
-
-
-def _headline(scenario: Any, shares: Mapping[str, float]) -> str:
-    """Name of the error by which policies are ranked; shares: of episodes that have each, by name."""
-    usual, average, *_ = shares
-    wanted = next((name for family, name in HEADLINES.items() if isinstance(scenario, family)), usual)
-    return wanted if shares.get(wanted, 0.0) > 0.5 else average
 
 
 def _best_of_kinds(policies: Mapping[str, Any], headline: str) -> dict[str, str]:
