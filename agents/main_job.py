@@ -111,9 +111,7 @@ def _check_numbers(episodes: int, seed: int) -> None:
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     known = [*policy_names(scenario), PRETRAINED]
     labels = unique_names([name if name in known else "learned" for name in names])
-    return {
-        label: named_policy(name, scenario_name_, scenario) for label, name in zip(labels, names, strict=True)
-    }
+    return {label: named_policy(name, scenario_name_, scenario) for label, name in zip(labels, names, strict=True)}
 
 
 def named_policy(name: str, scenario_name_: str, scenario: Any) -> Policy:

@@ -1,7 +1,7 @@
 """Trackers on a user's own recordings: the job behind ``passive-env track``.
 
-    file → recording → scenario of the fitting environment → replay → track.csv, track.json, track.png, fit.png
-                                                                └→ a policy's advice per instant, advice.csv
+file → recording → scenario of the fitting environment → replay → track.csv, track.json, track.png, fit.png
+                                                            └→ a policy's advice per instant, advice.csv
 """
 
 from __future__ import annotations

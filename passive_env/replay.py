@@ -519,9 +519,7 @@ class SumReplay(Replay):
     def _told(self, index: int, known: Any, mean: np.ndarray, heard: bool, tuned: bool) -> Any:
         r = self.recording
         listened, answered = r.listened[None, index] & heard, r.answered[None, index] & heard
-        sighting = self.sensors.recorded(
-            answered, listened, known, r.platforms[None, index], self._sites, mean, tuned
-        )
+        sighting = self.sensors.recorded(answered, listened, known, r.platforms[None, index], self._sites, mean, tuned)
         std = np.where(np.isnan(r.std[None, index]), sighting.scan.std, r.std[None, index])
         sums = np.where(answered, r.range_sums[None, index], 0.0)
         return sighting._replace(scan=sighting.scan._replace(range_sums=sums, valid=answered, std=std))
