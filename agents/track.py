@@ -179,7 +179,7 @@ def _check_environment(name: str, fitting: str) -> None:
     mine, wanted = type(make_scenario(name, {})), type(make_scenario(fitting, {}))
     if mine is not wanted:
         raise ValueError(
-            f"--env {name}: is no environment for this recording, whose tracker runs in passive/{fitting}-v0"
+            f"--environment {name}: is no environment for this recording, whose tracker runs in passive/{fitting}-v0"
         )
 
 
@@ -219,8 +219,8 @@ def run(
     """
     name, replay = open_replay(file, tracker, environment, fields, reference, origin, guess)
     pilot = None if policy is None else _pilot(policy, name, replay)
-    track = follow(replay, pilot)
     make_folder(out)
+    track = follow(replay, pilot)
     write_text(out / "track.csv", track_csv(track))
     told = {"environment": f"passive/{name}-v0", "tracker": replay.scenario.tracker, "policy": policy}
     write_json(out / "track.json", told | summary(track))

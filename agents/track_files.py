@@ -116,6 +116,7 @@ def _rows(track: Track, k: int) -> list[dict[str, Any]]:
         if track.on_earth is not None:
             names = ("latitude_deg", "longitude_deg", "height_m")
             row |= {name: float(value) for name, value in zip(names, track.on_earth[k, j], strict=False)}
+        row |= dict.fromkeys(("nis", "nis_degrees", "log_likelihood", "used"), "")
         if moment.fit is not None:
             row |= {
                 "nis": float(nis[k, j]), "nis_degrees": int(degrees[k, j]),

@@ -48,6 +48,7 @@ def fit_picture(track: Track) -> Figure:
     if shares:
         _draw_shares(panels[1], track, *shares)
     panels[-1].set_xlabel("time [s]", fontsize=10, color=INK)
+    figure.suptitle(_title(track), fontsize=11, color=INK)
     return figure
 
 
@@ -147,8 +148,7 @@ def _draw_fit(axes: Axes, track: Track) -> None:
     axes.axhline(1.0, color=MUTED, linewidth=1.0)
     axes.set_ylim(1e-3, max(20.0, 1.5 * (nis / np.maximum(degrees, 1.0)).max()))
     log_ticks(axes.yaxis, axes.set_yscale)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.2), ncols=4, fontsize=8.5, frameon=False, labelcolor=INK)
-    axes.set_title(_title(track), fontsize=11, color=INK, pad=22)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, fontsize=8.5, frameon=False, labelcolor=INK)
 
 
 def _shares(track: Track) -> tuple[np.ndarray, str] | None:

@@ -34,8 +34,9 @@ class EarthFrame(NamedTuple):
 
     def turned(self, vectors: Any, latitude: Any, longitude: Any) -> np.ndarray:
         """Vectors [..., 3] given east, north and up of places [...] rad, in the frame's axes."""
-        space = pymap3d.enu2uvw(*np.moveaxis(np.asarray(vectors), -1, 0), latitude, longitude, deg=False)
-        return np.stack(pymap3d.uvw2enu(*space, self.latitude, self.longitude, deg=False), axis=-1)
+        east, north, up = np.moveaxis(np.asarray(vectors), -1, 0)
+        u, v, w = pymap3d.enu2uvw(east, north, up, latitude, longitude, deg=False)
+        return np.stack(pymap3d.uvw2enu(u, v, w, self.latitude, self.longitude, deg=False), axis=-1)
 
     def directions(self, direction: Any, elevation: Any, latitude: Any, longitude: Any) -> tuple[Any, Any]:
         """Directions in the frame: counter-clockwise from east, and elevation, each [...] rad.

@@ -225,15 +225,15 @@ def _turned(table: Table, frame: EarthFrame | None, components: np.ndarray) -> n
     """Components [r, 2] in the axes of the frame; a direction alone is taken for level."""
     if frame is None:
         return components
-    level = np.nan_to_num(components)
-    turned = frame.directions(*level.T, table.numbers["latitude"], table.numbers["longitude"])
+    direction, elevation = np.nan_to_num(components).T
+    turned = frame.directions(direction, elevation, table.numbers["latitude"], table.numbers["longitude"])
     return np.where(np.isnan(components), np.nan, np.stack(turned, axis=-1))
 
 
 def _available(table: Table, components: np.ndarray) -> np.ndarray:
     """[r, 2] bool: what has a value; both where a station received nothing, unless the file says that it was off."""
-    given = np.isfinite(components)
-    on = np.ones(len(given), dtype=bool)
+    given: np.ndarray = np.isfinite(components)
+    on = np.ones(len(components), dtype=bool)
     if table.has("available"):
         for row, cell in enumerate(table.texts["available"]):
             if cell not in ("0", "1"):
@@ -257,10 +257,10 @@ def _slots(table: Table, scan: np.ndarray, who: np.ndarray, names: list[str], co
         others = seen.setdefault(key, [])
         where = f"station {names[key[1]]!r} at {table.time_s[row]:g} s"
         for other in others:
-            same = np.isnan(components[row]) == np.isnan(components[other])
+            given, given_there = np.isfinite(components[row]), np.isfinite(components[other])
             if np.array_equal(components[row], components[other], equal_nan=True):
                 raise table.error(row, f"{where} has the row of line {table.lines[other]} twice; leave one of them out")
-            if not same.all():
+            if not np.array_equal(given, given_there):
                 raise table.error(
                     row, f"{where} has rows with and without an angle (line {table.lines[other]}); must all have alike"
                 )

@@ -119,8 +119,8 @@ def paced(tracker: Any, share: float) -> Any:
 def _power(transition: Any, share: float) -> tuple[tuple[float, ...], ...]:
     """Π^share of a stochastic matrix, by its eigenvalues; what rounding or a root makes negative is cut."""
     values, vectors = np.linalg.eig(np.array(transition, dtype=float))
-    power = (vectors * np.maximum(values.real, 0.0) ** share) @ np.linalg.inv(vectors)
-    power = np.maximum(power.real, 0.0)
+    power = (vectors * np.maximum(np.real(values), 0.0) ** share) @ np.linalg.inv(vectors)
+    power = np.maximum(np.real(power), 0.0)
     return tuple(tuple(float(p) for p in row / row.sum()) for row in power)
 
 
