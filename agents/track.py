@@ -20,7 +20,7 @@ from agents.main_job import named_policy
 from agents.policy import sees_world
 from agents.track_files import Track, advice_csv, advice_table, summary, track_csv
 from agents.track_pictures import fit_picture, track_picture
-from agents.track_sample import sample_path
+from agents.track_sample import SAMPLE_GUESS, sample_path
 from passive_env.catalogue import make_scenario, scenario_name
 from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from passive_env.replay import AngleReplay, BearingReplay, FixReplay, Replay, SumReplay, first_scan
@@ -87,9 +87,6 @@ FAMILIES = {
     "passive-radar": Family("ekf", RANGE_SUM_TRACKERS, read_range_sums, SumReplay, lambda r, t: "PassiveRadar", _pool),
 }  # fmt: skip
 """Kinds of recordings by the name of their tracker."""
-
-SAMPLE_GUESS = (-23500.0, 20500.0, 0.0, 0.0)
-"""What is taken for the target's state at the first scan of the shipped range sums, where no guess is given."""
 
 
 def track_names() -> list[str]:

@@ -232,17 +232,18 @@ def _turned(table: Table, frame: EarthFrame | None, components: np.ndarray) -> n
 
 def _available(table: Table, components: np.ndarray) -> np.ndarray:
     """[r, 2] bool: what has a value; both where a station received nothing, unless the file says that it was off."""
-    given: np.ndarray = np.isfinite(components)
+    given = np.isfinite(components)
+    some = given.any(axis=1)
     on = np.ones(len(components), dtype=bool)
     if table.has("available"):
         for row, cell in enumerate(table.texts["available"]):
             if cell not in ("0", "1"):
                 raise table.error(row, f"available is {cell!r}, must be 1 or 0")
             on[row] = cell == "1"
-        odd = np.flatnonzero(~on & given.any(-1))
+        odd = np.flatnonzero(~on & some)
         if len(odd):
             raise table.error(int(odd[0]), "available is 0, but the row has a return: leave its angles empty")
-    return np.where(given.any(-1)[:, None], given, on[:, None])
+    return np.where(np.expand_dims(some, 1), given, on[:, None])
 
 
 def _slots(table: Table, scan: np.ndarray, who: np.ndarray, names: list[str], components: np.ndarray) -> np.ndarray:
