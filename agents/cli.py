@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, pack, export, reproduce, curves, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, leaderboard, pack, export, track, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -133,6 +133,34 @@ class Export:
 
 
 @dataclass(frozen=True)
+class Track:
+    """Run a tracker on recorded measurements, and print what a policy would do next.
+
+    The file has a row per time, station and return, with the platforms' places (docs/track.md lists the columns).
+    """
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """CSV file, or 'sample' for the one of this tracker that comes with the package."""
+    tracker: str
+    """rp-ekf, angle-fusion, imm-mie or passive-radar, or the name of any tracker (see `passive-env list`)."""
+    out: Path = Path("track")
+    """Folder for track.csv, track.json, track.png, fit.png and, with --policy, advice.csv."""
+    policy: str | None = None
+    """Policy name, run folder made by train, file made by pack or export: what it would do next is printed for every
+    instant."""
+    environment: str | None = None
+    """Environment id whose settings and policies are used; default the one that fits the recording."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords: NAME=VALUE …, such as bearing_std_deg=1 process_noise_m_s=5 step_s=2."""
+    reference: str | None = None
+    """Station from which ranges count; default the last one in the file, with azimuth and elevation the first."""
+    origin: tuple[float, ...] | None = None
+    """Files with latitudes: latitude, longitude [deg] and height [m] of the plane's origin; default the first place."""
+    guess: tuple[float, ...] | None = None
+    """Range sums: the target's place [m] and velocity [m/s] at the first scan, east and north, in space also up."""
+
+
+@dataclass(frozen=True)
 class Reproduce:
     """Run a paper's experiments and print its claims beside ours; `all` writes one report of all papers."""
 
@@ -179,6 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
     commands = {
         "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack, "export": Export,
+        "track": Track,
         "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
     }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
@@ -192,7 +221,7 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 def _guarded(command: Any) -> int:
     runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack, Export: _export,
+        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack, Export: _export, Track: _track,
         Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
     }  # fmt: skip
     try:
@@ -239,6 +268,14 @@ def _export(c: Export) -> None:
 
     actor = export(c.policy, c.onnx)
     print(f"{c.onnx}: {c.onnx.stat().st_size} bytes, for {actor.description['environment']}")
+
+
+def _track(c: Track) -> None:
+    from agents.track import run
+
+    run(
+        c.file, c.tracker, c.out, c.policy, c.environment, parse_fields(c.fields), c.reference, c.origin, c.guess
+    )  # fmt: skip
 
 
 def _reproduce(c: Reproduce) -> int:

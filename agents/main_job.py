@@ -166,15 +166,14 @@ def _check_numbers(episodes: int, seed: int) -> None:
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     known = [*policy_names(scenario), PRETRAINED]
     labels = unique_names([name if name in known else LEARNED for name in names])
-    return {
-        label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)
-    }
+    return {label: named_policy(name, scenario_name_, scenario) for label, name in zip(labels, names, strict=True)}
 
 
-def _make_policy(name: str, scenario_name_: str, scenario: Any, known: Sequence[str]) -> Policy:
+def named_policy(name: str, scenario_name_: str, scenario: Any) -> Policy:
+    """A policy by its name, `PRETRAINED`, a run folder or a packed file, for a variant of a catalogue's scenario."""
     if name == PRETRAINED:
         return load_pretrained(scenario_name_, scenario)
-    if name in known or not is_trained(name):
+    if name in policy_names(scenario) or not is_trained(name):
         return make_policy(name, scenario)
     return open_policy(name, environment_id(scenario_name_), scenario.make_simulation())
 

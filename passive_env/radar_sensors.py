@@ -227,7 +227,7 @@ class SumReceiver:
         a, n = tape.acquisition.noise.shape[1:]
         times = self._receiver.step_s * np.arange(a)
         d, platforms = tape.transmitters.shape[-1], tape.platforms
-        known, sightings = self._nothing_known(tape), []
+        known, sightings = self.nothing_known(*tape.noise.shape[::2]), []
         for t in range(a):
             turn = (np.arange(n) - t * self._receiver.channels) % n < self._receiver.channels
             at = platforms.copy()
@@ -240,14 +240,38 @@ class SumReceiver:
                 self._sense(tape.acquisition, step, at, tape.transmitters, scores, known, place[:, None], self._tuned)
             )
             known = sightings[-1].listening
-        waiting = np.where(known.chosen, 0.0, self._receiver.retune_delay_s)
-        sightings[-1] = sightings[-1]._replace(listening=known._replace(wait_s=waiting))
+        sightings[-1] = sightings[-1]._replace(listening=self.settled(known))
         return sightings, times
 
     def sense(self, tape: RadarTape, step, platforms, predicted: Any, scores, known: Listening) -> RadarSighting:
         """The scan of an instant: steps [e], receiver [e, 1, 2d], predicted state, scores [e, n], what was known."""
         mean = self._tracker.estimate(predicted).mean
         return self._sense(tape, step, platforms, tape.transmitters, scores, known, mean, self._limits)
+
+    def recorded(
+        self, answered: Any, listened: Any, known: Listening, platforms: Any, transmitters: Any, mean: Any, tuned: bool
+    ) -> RadarSighting:
+        """A scan of one episode in which it is known who was listened to and who answered, each [1, n] bool.
+
+        Its range sums mean nothing. Whoever answers has been listened to, whatever was known of its tuning.
+
+        Args:
+            known: before the scan; platforms: [1, 1, 2d]; transmitters: [1, n, d].
+            mean: [1, 1, 2d] of the predicted track, for which standard deviations are told.
+            tuned: whether no retuning delays an echo, as while a track is started.
+        """
+        limits = (self._tuned if tuned else self._limits).copy()
+        limits[0] = listened.sum()
+        waiting = np.where(answered, 0.0, known.wait_s)
+        known = known._replace(chosen=known.chosen | answered, wait_s=waiting)
+        nobody, n = np.zeros((1, 1, 1, mean.shape[-1])), answered.shape[1]
+        echoes = Echoes(nobody, np.zeros((1, 1, n)), answered[:, None], np.zeros((1, 1, n), dtype=bool))
+        step, scores = np.zeros(1, dtype=np.int64), np.where(listened, 1.0, -1.0)
+        return self._sense(echoes, step, platforms, transmitters, scores, known, mean, limits)
+
+    def settled(self, known: Listening) -> Listening:
+        """What is known at the first decision, for which receivers have waited."""
+        return known._replace(wait_s=np.where(known.chosen, 0.0, self._receiver.retune_delay_s))
 
     def acquired(self, sightings: list[RadarSighting]) -> RadarReports:
         """What is known when the track has been started."""
@@ -276,8 +300,9 @@ class SumReceiver:
             "blocked_probability": told.blocked_probability, "maneuver": reports.maneuver[:, None],
         }  # fmt: skip
 
-    def _nothing_known(self, tape: RadarTape) -> Listening:
-        shape = tape.noise[:, 0].shape
+    def nothing_known(self, episodes: int, transmitters: int) -> Listening:
+        """What is known before the first scan."""
+        shape = (episodes, transmitters)
         none, never = np.zeros(shape, dtype=bool), np.full(shape, NEVER_S)
         stretch = np.broadcast_to(self._renewal.stationary, (*shape, *self._renewal.stationary.shape))
         return Listening(none, np.zeros(shape), none, none, never, never, np.full(shape, self._share), stretch)

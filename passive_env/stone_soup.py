@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.extras import needs
 from passive_env.episodes import Recording, Returns
+from passive_env.extras import needs
 
 EXTRA = "stonesoup"
 START = datetime(2000, 1, 1)

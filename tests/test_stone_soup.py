@@ -14,8 +14,8 @@ from scipy.optimize import linear_sum_assignment
 from agents.evaluation import fly
 from agents.policy import make_policy
 from passive_env.catalogue import make_scenario
-from passive_env.extras import MissingExtra
 from passive_env.episodes import Recording, Returns, record
+from passive_env.extras import MissingExtra
 from passive_env.stone_soup import (
     MAPPING,
     Episode,
