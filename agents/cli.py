@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, pack, reproduce, curves, benchmark, list."""
+"""The command ``passive-env``: train, evaluate, replay, leaderboard, pack, reproduce, curves, benchmark, list."""
 
 from __future__ import annotations
 
@@ -69,6 +69,29 @@ class Evaluate:
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
     """Folder for evaluation.json, .csv, .md and pictures."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Show policies side by side in one episode: a page for any browser, which needs no network, or an animation."""
+
+    env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
+    """Environment id."""
+    policies: tuple[str, ...] | None = None
+    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; `learned` is
+    the pretrained one. Default the fixed geometry, the rule and the pretrained policy."""
+    seed: int = 0
+    """Seed of the episode."""
+    out: Path = Path("replay.html")
+    """The page."""
+    gif: Path | None = None
+    """Besides: an animation FILE.gif."""
+    mp4: Path | None = None
+    """Besides: an animation FILE.mp4 (needs ffmpeg)."""
+    flights: str | None = None
+    """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords: NAME=VALUE …, such as steps=40 targets=1."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +187,7 @@ class List:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
     commands = {
-        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack,
+        "train": Train, "evaluate": Evaluate, "replay": Replay, "leaderboard": Leaderboard, "pack": Pack,
         "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
     }  # fmt: skip
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
@@ -178,12 +201,12 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 def _guarded(command: Any) -> int:
     runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack,
+        Train: _train, Evaluate: _evaluate, Replay: _replay, Leaderboard: _leaderboard, Pack: _pack,
         Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
     }  # fmt: skip
     try:
         status = runners[type(command)](command)
-    except (ValueError, TypeError, OSError) as error:
+    except (ValueError, TypeError, OSError, ImportError) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
     return status or 0
@@ -202,6 +225,14 @@ def _evaluate(c: Evaluate) -> None:
     from agents.main_job import compare
 
     compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
+
+
+def _replay(c: Replay) -> None:
+    from agents.main_job import replay
+
+    fields = parse_fields(c.fields)
+    for path in replay(c.env, c.policies, c.seed, c.out, c.gif, c.mp4, c.flights, fields):
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _leaderboard(c: Leaderboard) -> None:
