@@ -117,8 +117,13 @@ function markerTrace(rows, labels, tell, marker, more = {}) {
   return {
     ...BASE, mode: "markers", marker, hoverlabel: { namelength: 0 },
     x: rows.map((r) => known(r[0])), y: rows.map((r) => known(r[1])),
-    text: rows.map((r, n) => tell(labels[n] ?? labels[0], r)), hovertemplate: "%{text}<extra></extra>", ...more,
+    hovertext: rows.map((r, n) => tell(labels[n] ?? labels[0], r)), hovertemplate: "%{hovertext}<extra></extra>", ...more,
   };
+}
+
+// Names written beside markers.
+function tags(labels, color) {
+  return { mode: "markers+text", text: labels, textposition: "top center", textfont: { size: 11, color } };
 }
 
 const rowsOf = (layer, k, g) => range(layer.shape[2]).map((n) => row(layer, k, g, n));
@@ -148,14 +153,14 @@ const SHAPES = {
       color: style.open ? theme("paper") : color, size: style.size, line: { color: style.open ? color : theme("paper"), width: style.open ? 2 : 1 },
       symbol: rows.map((r) => (Number.isFinite(r[2]) ? "triangle-up" : "circle")),
       angle: rows.map((r) => (Number.isFinite(r[2]) ? 90 - r[2] : 0)),
-    });
+    }, style.named ? tags(labels, color) : {});
   },
   dot(layer, k, g, style, color, labels) {
     const rows = rowsOf(layer, k, g);
     const weigh = (label, r) => `<b>${label}</b><br>weight ${r[2].toFixed(3)}<br>at ${place(r)}`;
     return markerTrace(rows, labels, weigh, {
-      color, size: rows.map((r) => 4 + 12 * Math.sqrt(known(r[2]) ?? 0)),
-      opacity: rows.map((r) => 0.3 + 0.6 * (known(r[2]) ?? 0)), line: { width: 0 },
+      color, size: rows.map((r) => 3 + 7 * Math.sqrt(known(r[2]) ?? 0)),
+      opacity: rows.map((r) => 0.3 + 0.3 * (known(r[2]) ?? 0)), line: { width: 0 },
     });
   },
   ring(layer, k, g, style, color, labels) {
@@ -170,9 +175,11 @@ const SHAPES = {
   },
   site(layer, k, g, style, color, labels) {
     return markerTrace(rowsOf(layer, k, g), labels, named, {
-      symbol: style.size > 20 ? "square" : "triangle-up", color: style.open ? theme("paper") : color, size: style.size,
-      opacity: style.size > 20 ? 0.6 : 1, line: { color, width: 1.5 },
+      symbol: "triangle-up", color: style.open ? theme("paper") : color, size: style.size, line: { color, width: 1.5 },
     });
+  },
+  square(layer, k, g, style, color, labels) {
+    return markerTrace(rowsOf(layer, k, g), labels, named, { symbol: "square", color, size: style.size, opacity: 0.6 });
   },
   line(layer, k, g, style, color) {
     const x = [], y = [];
@@ -206,21 +213,20 @@ const SHAPES = {
 function axis(title, more = {}) {
   return {
     title: { text: title, font: { size: 12 }, standoff: 6 }, gridcolor: theme("grid"), zeroline: false, linecolor: theme("line"),
-    tickfont: { size: 11 }, automargin: true, ...more,
+    tickfont: { size: 11 }, ...more,
   };
 }
 
 function layoutOf(more) {
   return {
     paper_bgcolor: theme("paper"), plot_bgcolor: theme("paper"), font: { color: theme("ink"), family: "system-ui, sans-serif" },
-    margin: { l: 8, r: 8, t: 8, b: 8 }, hoverlabel: { align: "left" }, showlegend: false, ...more,
+    margin: { l: 52, r: 10, t: 8, b: 40 }, hoverlabel: { align: "left" }, showlegend: false, ...more,
   };
 }
 
-const CONFIG = {
-  displaylogo: false, responsive: true, doubleClick: false,
-  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "resetScale2d", "zoomIn2d", "zoomOut2d"],
-};
+const CONFIG = { displaylogo: false, responsive: true, doubleClick: false, displayModeBar: false };
+// Tools of the large diagrams, shown while a pointer is over them.
+const TOOLS = { ...CONFIG, displayModeBar: touch ? false : "hover", modeBarButtons: [["toImage", "zoom2d", "pan2d"]] };
 
 function viewLayout(view, v, k) {
   const [west, south, east, north] = boundsOf(view, v, k);
@@ -267,15 +273,23 @@ function addView(parent, policy, view, v) {
   div.className = `plot ${view.equal ? "equal" : "side"}`;
   div.setAttribute("role", "img");
   div.setAttribute("aria-label", `${view.name}, ${policy.name}`);
+  if (view.equal && view.frame) div.style.aspectRatio = (view.frame[2] - view.frame[0]) / (view.frame[3] - view.frame[1]);
+  if (v) parent = parent.appendChild(captioned(view.name));
   parent.append(div);
   let wired = false;
   addDrawing(div, (k) => {
-    Plotly.react(div, layerTraces(view, k), viewLayout(view, v, k), CONFIG);
+    Plotly.react(div, layerTraces(view, k), viewLayout(view, v, k), v ? CONFIG : TOOLS);
     if (wired || view.reach) return;
     wired = true;
     div.on("plotly_relayout", (change) => followZoom(v, change));
     div.on("plotly_doubleclick", () => setZoom(null));
   });
+}
+
+function captioned(text) {
+  const figure = document.createElement("figure");
+  figure.append(cell("figcaption", text));
+  return figure;
 }
 
 // Zooming or panning one map moves the same map of the other policies.
@@ -286,35 +300,44 @@ function followZoom(v, change) {
   redraw();
 }
 
-// Diagrams below each other with one time axis; series: {title, traces, yaxis}.
-function addTimeDiagram(div, rows, label) {
-  const share = 1 / rows.length, gap = rows.length > 1 ? 0.11 / rows.length : 0;
-  const layout = () => {
-    const axes = {}, annotations = [];
-    rows.forEach((each, i) => {
-      const top = 1 - i * share, id = i ? i + 1 : "";
-      axes[`yaxis${id}`] = axis("", { ...each.yaxis, domain: [Math.max(top - share + gap, 0), top - 2 * gap], anchor: "x" });
-      annotations.push({ text: each.title, x: 0, y: top - 2 * gap, xref: "paper", yref: "paper", xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 13 } });
-    });
-    const bottom = rows.length > 1 ? `y${rows.length}` : "y";
-    return layoutOf({
-      ...axes, annotations, hovermode: "x unified", dragmode: false, margin: { l: 8, r: 8, t: 16, b: 8 },
-      xaxis: axis(data.axis, { anchor: bottom, range: [data.at[0], Math.max(data.at[last], data.at[0] + 1)] }),
-      shapes: [cursor(state.k)],
-    });
-  };
-  const traces = () => rows.flatMap((each, i) => each.traces().map((trace) => ({ ...BASE, ...trace, x: data.at, yaxis: `y${i ? i + 1 : ""}` })));
+// A diagram over time with its title and key above; row: {title, lines: [[name, color, dash]], traces(), yaxis}.
+function addTimeDiagram(parent, row, label, height) {
+  const figure = captioned(""), div = document.createElement("div");
+  figure.firstChild.innerHTML = `<b>${row.title}</b> ${row.lines.map(sampleOfLine).join(" ")}`;
+  div.className = "plot";
+  div.style.height = height;
   div.setAttribute("role", "img");
-  div.setAttribute("aria-label", label);
-  let drawn = "";
+  div.setAttribute("aria-label", `${row.title} over time, ${label}`);
+  figure.append(div);
+  parent.append(figure);
+  let drawn = false;
   addDrawing(div, (k) => {
-    if (drawn === theme("paper")) return Plotly.relayout(div, { shapes: [cursor(k)] });
-    const first = !drawn;
-    drawn = theme("paper");
-    Plotly.react(div, traces(), layout(), CONFIG);
-    if (first) div.on("plotly_click", (event) => seek(nearest(event.points[0].x)));
+    if (drawn) return Plotly.relayout(div, { shapes: [cursor(k)] });
+    drawn = true;
+    Plotly.react(div, row.traces(), timeLayout(row), CONFIG);
+    div.on("plotly_click", (event) => seek(nearest(event.points[0].x)));
     return undefined;
   });
+}
+
+function timeLayout(row) {
+  return layoutOf({
+    hovermode: "x unified", dragmode: false, shapes: [cursor(state.k)], margin: { l: 52, r: 10, t: 6, b: 36 },
+    xaxis: axis(data.axis, { range: [data.at[0], Math.max(data.at[last], data.at[0] + 1)], fixedrange: true }),
+    yaxis: axis("", { ...row.yaxis, fixedrange: true }),
+  });
+}
+
+function sampleOfLine([name, color, dash]) {
+  const strokes = { solid: "", dash: "5 3" };
+  const line = `<line x1="0" y1="5" x2="20" y2="5" stroke="${shade(color)}" stroke-width="2.5" stroke-dasharray="${strokes[dash]}"/>`;
+  return `<span class="line"><svg viewBox="0 0 20 10" aria-hidden="true">${line}</svg>${escaped(name)}</span>`;
+}
+
+function escaped(text) {
+  const span = document.createElement("span");
+  span.textContent = text;
+  return span.innerHTML;
 }
 
 function cursor(k) {
@@ -332,13 +355,14 @@ function nearest(at) {
 
 // -- series over time ---------------------------------------------------------------------------------------------------
 
-function series(name, y, color, more = {}) {
-  return { name, y, mode: y.length > 1 ? "lines" : "markers", line: { color: shade(color), width: 2, ...more.line }, hovertemplate: more.tell };
+function series(name, y, color, tell, line = {}) {
+  return { ...BASE, name, x: data.at, y, mode: y.length > 1 ? "lines" : "markers", line: { color: shade(color), width: 2, ...line }, hovertemplate: tell };
 }
 
 const TELL_METRES = "%{y:.3s}m";
-const TELL_SHARE = "%{y:.3f}";
 const DASHED = { dash: "dash", width: 1.4 };
+const BOUND = ["Cramér–Rao bound (PCRLB, 1σ)", data.muted, "dash"];
+const seriesColor = (i) => data.series[i % data.series.length];
 
 // Positions on a logarithmic axis must be positive.
 const positive = (values) => values.map((value) => (value > 0 ? value : null));
@@ -352,63 +376,64 @@ function errorRow(policy, kind) {
   const m = error.shape[1];
   const of = (j) => (m > 1 ? ` of target ${j + 1}` : "");
   return {
-    title: `<b>${capital(kind)} error</b>, dashed: Cramér–Rao bound (PCRLB)`, yaxis: errorAxis(kind),
+    title: `${capital(kind)} error`, yaxis: errorAxis(kind),
+    lines: [...(m > 1 ? range(m).map((j) => [`target ${j + 1}`, seriesColor(j), "solid"]) : []), BOUND],
     traces: () => range(m).flatMap((j) => [
-      series(`error${of(j)}`, positive(column(error, j)), data.series[j % data.series.length], { tell: TELL_METRES }),
-      series(`bound${of(j)}`, positive(column(bound, j)), data.series[j % data.series.length], { tell: TELL_METRES, line: DASHED }),
+      series(`error${of(j)}`, positive(column(error, j)), seriesColor(j), TELL_METRES),
+      series(`bound${of(j)}`, positive(column(bound, j)), seriesColor(j), TELL_METRES, DASHED),
     ]),
   };
 }
 
-function rewardRow(policy) {
+// Lines by name, each with a colour and a dash of its own.
+function namedRow(title, figures, yaxis) {
+  const lines = Object.keys(figures).map((name, i) => [words(name), seriesColor(i), i < data.series.length ? "solid" : "dash"]);
   return {
-    title: `<b>Reward of each step</b>: ${Object.keys(policy.rewards).map(words).join(", ")}`, yaxis: {},
-    traces: () => Object.entries(policy.rewards).map(([term, values], i) =>
-      series(words(term), column(values), data.series[i % data.series.length], { tell: "%{y:.3f}", line: { dash: ["solid", "dash", "dot", "dashdot"][i % 4] } })),
+    title, lines, yaxis,
+    traces: () => Object.values(figures).map((values, i) => {
+      const [name, color, dash] = lines[i];
+      return series(name, column(values), color, "%{y:.3f}", { dash });
+    }),
   };
 }
 
-function probabilityRow(policy) {
-  return {
-    title: "<b>Probabilities</b>: " + shortened(Object.keys(policy.probabilities)), yaxis: { range: [-0.02, 1.02] },
-    traces: () => Object.entries(policy.probabilities).map(([name, values], i) =>
-      series(name, column(values), data.series[i % data.series.length], { tell: TELL_SHARE, line: { dash: ["solid", "dash"][Math.floor(i / data.series.length) % 2] } })),
-  };
-}
-
-const shortened = (names) => (names.length > 1 ? `${names[0]} … ${names[names.length - 1].match(/[^ ]*$/)[0]}` : names[0]);
 const words = (term) => term.replaceAll("_", " ");
 const capital = (word) => word[0].toUpperCase() + word.slice(1);
 
 function diagramRows(policy) {
   const rows = Object.keys(policy.errors).map((kind) => errorRow(policy, kind));
-  rows.push(rewardRow(policy));
-  if (Object.keys(policy.probabilities).length) rows.push(probabilityRow(policy));
+  rows.push(namedRow("Reward of each step", policy.rewards, {}));
+  if (Object.keys(policy.probabilities).length) rows.push(namedRow("Probability", policy.probabilities, { range: [-0.02, 1.02] }));
   return rows;
 }
 
 function togetherRow(kind) {
   const averaged = (figure) => range(data.at.length).map((k) => meanFigure(figure, k));
   return {
-    title: `<b>${capital(kind)} error, mean over targets</b>, dashed: Cramér–Rao bound (PCRLB)`, yaxis: errorAxis(kind),
+    title: `${capital(kind)} error, mean over targets`, yaxis: errorAxis(kind),
+    lines: [...data.policies.map((policy) => [policy.name, policy.color, "solid"]), BOUND],
     traces: () => data.policies.flatMap((policy) => [
-      series(policy.name, positive(averaged(policy.errors[kind][0])), policy.color, { tell: TELL_METRES }),
-      series(`${policy.name}, bound`, positive(averaged(policy.errors[kind][1])), policy.color, { tell: TELL_METRES, line: DASHED }),
+      series(policy.name, positive(averaged(policy.errors[kind][0])), policy.color, TELL_METRES),
+      series(`${policy.name}, bound`, positive(averaged(policy.errors[kind][1])), policy.color, TELL_METRES, DASHED),
     ]),
   };
 }
 
 // -- figures in words ---------------------------------------------------------------------------------------------------
 
-function earned(policy, k) {
+// Sum of all rewards [k] up to every instant.
+function earned(policy) {
+  let sum = 0;
   const terms = Object.values(policy.rewards);
-  return terms.reduce((sum, term) => sum + column(term).slice(0, k + 1).reduce((a, b) => a + (b ?? 0), 0), 0);
+  return range(data.at.length).map((k) => (sum += terms.reduce((all, term) => all + (known(term.values[k]) ?? 0), 0)));
 }
 
+const earnings = data.policies.map(earned);
+
 function figureRows(k) {
-  return data.policies.map((policy) => {
+  return data.policies.map((policy, i) => {
     const errors = Object.values(policy.errors).flatMap((pair) => pair.map((part) => metres(meanFigure(part, k))));
-    return [policy, [...errors, earned(policy, k).toFixed(2)]];
+    return [...errors, earnings[i][k].toFixed(2)];
   });
 }
 
@@ -427,7 +452,7 @@ function showFigures(k) {
       head.slice(1).forEach(() => line.insertCell());
     }
   }
-  figureRows(k).forEach(([, texts], i) => texts.forEach((text, j) => { table.tBodies[0].rows[i].cells[j + 1].textContent = text; }));
+  figureRows(k).forEach((texts, i) => texts.forEach((text, j) => { table.tBodies[0].rows[i].cells[j + 1].textContent = text; }));
 }
 
 function cell(tag, text, scope) {
@@ -565,6 +590,7 @@ function sample(style) {
     ring: `<circle cx="12" cy="8" r="5.5" ${line}/>`,
     cross: `<path d="M7 3L17 13M17 3L7 13" ${line}/>`,
     site: `<path d="M6 13L12 3L18 13Z" ${hollow}/>`,
+    square: `<rect x="5" y="1" width="14" height="14" fill="${color}" opacity="0.6"/>`,
     line: `<path d="M2 12L22 4" ${line}/>`,
     path: `<path d="M2 12Q10 0 22 6" ${line}/>`,
     ellipse: `<ellipse cx="12" cy="8" rx="10" ry="5" ${line.replace('fill="none"', `fill="${style.fill ? seeThrough(color, style.fill) : "none"}"`)}/>`,
@@ -581,20 +607,16 @@ function addPolicy(policy) {
   policy.views.forEach((view, v) => addView(v > 0 && view.equal ? small : map, policy, view, v));
   if (small.children.length) map.append(small);
   el("maps").append(map);
-  const below = document.createElement("article"), div = document.createElement("div"), rows = diagramRows(policy);
-  below.append(title.cloneNode(true), div);
-  div.className = "plot";
-  div.style.height = `${2.5 + 9.5 * rows.length}rem`;
+  const below = document.createElement("article");
+  below.append(title.cloneNode(true));
+  diagramRows(policy).forEach((row) => addTimeDiagram(below, row, policy.name, "9.5rem"));
   el("diagrams").append(below);
-  addTimeDiagram(div, rows, `Errors, rewards and probabilities over time, ${policy.name}`);
 }
 
 function addTogether() {
   if (data.policies.length < 2) return;
-  const section = el("together");
-  section.hidden = false;
-  const kind = Object.keys(data.policies[0].errors)[0];
-  addTimeDiagram(section.querySelector(".plot"), [togetherRow(kind)], `${capital(kind)} error of all policies over time`);
+  el("together").hidden = false;
+  addTimeDiagram(el("together"), togetherRow(Object.keys(data.policies[0].errors)[0]), "all policies", "17rem");
 }
 
 function wireControls() {

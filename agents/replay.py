@@ -24,6 +24,8 @@ from passive_env.artists import Frame, edge_points, grow
 from passive_env.layers import STYLES
 from passive_env.palette import INK, MUTED, SERIES, curve_color
 
+ASPECTS = (0.8, 1.5)
+"""Widths of maps over their heights."""
 OFF_MAP = "estimates off the map"
 """Layer of arrows at the edge of a view."""
 
@@ -142,11 +144,13 @@ def frame_of(views: Iterable[ViewRecord]) -> Frame | None:
         return None
     parts = [points_of(name, rows) for view in views for name, rows in view.layers.items() if STYLES[name].frames]
     points = np.concatenate(parts)
-    if views[0].equal:
-        return grow(None, points, 1.0)
     low, high = points.min(0), points.max(0)
-    margin = np.maximum(0.08 * (high - low), 0.5)
-    return Frame(np.minimum(low - margin, (np.inf, 0.0)), high + margin)
+    if views[0].equal:
+        width, height = np.maximum(high - low, 1.0)
+        return grow(None, points, float(np.clip(width / height, *ASPECTS)))
+    low = np.minimum(low, (np.inf, 0.0))  # the ground
+    margin = np.maximum((0.05, 0.15) * (high - low), 0.5)
+    return Frame(low - margin, high + margin)
 
 
 def points_of(name: str, rows: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ A layer is an array [g, n, c] of n things in each of g groups (a colour each); c
     ring      x, y
     cross     x, y
     site      x, y
+    square    x, y
     line      x₁, y₁, x₂, y₂
     ellipse   x, y of the middle, then of one end of two conjugate half axes, as seen from the middle
     path      x, y; n points of one line
@@ -44,6 +45,7 @@ class Style(NamedTuple):
         size: of its markers [px].
         open: whether markers are hollow.
         frames: whether the axes must hold it.
+        named: whether names stand beside its markers.
     """
 
     shape: str
@@ -57,6 +59,7 @@ class Style(NamedTuple):
     size: float = 13.0
     open: bool = False
     frames: bool = False
+    named: bool = False
 
 
 GATE: dict[str, Any] = {"colors": SENSOR_COLORS, "switch": "gates", "dash": "dot"}
@@ -75,7 +78,7 @@ STYLES = {
     "returns by weight": Style("dot", **RETURN),
     "range sums": Style("ellipse", (GREEN,), opacity=0.8),
     "echoes": Style("line", (BLUE,), opacity=0.45, width=1.0),
-    "blocked (the truth)": Style("site", ("#A8A8A8",), size=22.0),
+    "blocked (the truth)": Style("square", ("#A8A8A8",), size=22.0),
     "other transmitters": Style("site", (INK,), switch="transmitters", size=11.0, open=True, frames=True),
     "transmitters": Style("site", (INK,), size=11.0, frames=True),
     "echo missed": Style("cross", (VERMILION,), switch="transmitters", size=10.0),
@@ -86,10 +89,10 @@ STYLES = {
     "true acceleration": Style("line", width=2.0),
     "estimated acceleration": Style("ring", size=11.0),
     "true direction": Style("cross", (BLUE,), size=11.0),
-    "true targets": Style("dart", trail=True, width=2.2, frames=True),
-    "estimates": Style("ring", size=15.0),
+    "true targets": Style("dart", trail=True, width=2.2, size=11.0, frames=True),
+    "estimates": Style("ring", size=17.0),
     "estimates off the map": Style("dart", switch="estimates", size=15.0, open=True),
-    "platforms": Style("dart", (INK,), trail=True, width=1.5, frames=True),
+    "platforms": Style("dart", (INK,), trail=True, width=1.5, frames=True, named=True),
     "sensors without range": Style("site", (INK,), switch="platforms", size=13.0, frames=True),
 }
 """How layers look, by name; those that come first are drawn below the others."""

@@ -288,7 +288,7 @@ def angle_instants(world: World, simulation: Simulation) -> list[Instant]:
     )
     at, label = clock(int(world.step[0]), scenario)
     missed = world.reports.missed[0, 0]
-    words = [f"none of P{s}'s returns is the target's" for s in range(len(missed))]
+    words = [f"target missed by P{s}" for s in range(len(missed))]
     errors = errors_of(world.metrics, scenario.score)
     return [Instant(at, label, views, errors, dict(zip(words, missed, strict=True)))]
 

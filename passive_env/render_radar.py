@@ -220,7 +220,7 @@ def radar_instants(world: World, simulation: Simulation) -> list[Instant]:
         **dict.fromkeys(("transmitters", "other transmitters"), numbered("transmitter", scenario.pool)),
     }  # fmt: skip
     at, label = clock(int(world.step[0]), scenario)
-    blocked = dict(zip(numbered("transmitter", scenario.pool), known.blocked_probability[0], strict=True))
+    blocked = dict(zip(numbered("blocked transmitter", scenario.pool), known.blocked_probability[0], strict=True))
     errors = errors_of(world.metrics, scenario.score)
     return [Instant(at, label, (View("map", PLAN, layers, names),), errors, blocked)]
 
