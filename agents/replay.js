@@ -88,8 +88,10 @@ function layerTraces(view, k) {
     if (state.hidden.has(switchOf(name))) continue;
     for (const g of range(layer.shape[1])) {
       const color = groupColor(style, g);
+      const labels = labelsOf(view, name, g, layer);
       if (style.trail) traces.push(trail(layer, k, g, style, color));
-      traces.push(SHAPES[style.shape](layer, k, g, style, color, labelsOf(view, name, g, layer)));
+      const trace = SHAPES[style.shape](layer, k, g, style, color, labels);
+      traces.push(style.named && view.equal && labels.length > 1 ? { ...trace, ...tags(labels, color) } : trace);
     }
   }
   return traces;
@@ -123,7 +125,7 @@ function markerTrace(rows, labels, tell, marker, more = {}) {
 
 // Names written beside markers.
 function tags(labels, color) {
-  return { mode: "markers+text", text: labels, textposition: "top center", textfont: { size: 11, color } };
+  return { mode: "markers+text", text: labels.map((label) => label.replace("sensor ", "")), textposition: "top center", textfont: { size: 11, color } };
 }
 
 const rowsOf = (layer, k, g) => range(layer.shape[2]).map((n) => row(layer, k, g, n));
@@ -153,7 +155,7 @@ const SHAPES = {
       color: style.open ? theme("paper") : color, size: style.size, line: { color: style.open ? color : theme("paper"), width: style.open ? 2 : 1 },
       symbol: rows.map((r) => (Number.isFinite(r[2]) ? "triangle-up" : "circle")),
       angle: rows.map((r) => (Number.isFinite(r[2]) ? 90 - r[2] : 0)),
-    }, style.named ? tags(labels, color) : {});
+    });
   },
   dot(layer, k, g, style, color, labels) {
     const rows = rowsOf(layer, k, g);

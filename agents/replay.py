@@ -138,7 +138,10 @@ def pack(values: np.ndarray) -> dict[str, Any]:
 
 
 def frame_of(views: Iterable[ViewRecord]) -> Frame | None:
-    """Axis limits that hold what a view shows under all policies; estimates may fall outside. None: axes that follow."""
+    """Axis limits that hold what a view shows under all policies, or None where axes follow the instant.
+
+    Estimates may fall outside.
+    """
     views = list(views)
     if views[0].reach is not None:
         return None
