@@ -1,4 +1,4 @@
-"""The command ``passive-env``: train, evaluate, leaderboard, pack, export, track, reproduce, curves, benchmark, list."""
+"""The command ``passive-env``: train, evaluate and all that comes before and after."""
 
 from __future__ import annotations
 
@@ -71,6 +71,29 @@ class Evaluate:
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
     """Folder for evaluation.json, .csv, .md and pictures."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Show policies side by side in one episode: a page for any browser, which needs no network, or an animation."""
+
+    env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
+    """Environment id."""
+    policies: tuple[str, ...] | None = None
+    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; `learned` is
+    the pretrained one. Default the fixed geometry, the rule and the pretrained policy."""
+    seed: int = 0
+    """Seed of the episode."""
+    out: Path = Path("replay.html")
+    """The page."""
+    gif: Path | None = None
+    """Besides: an animation FILE.gif."""
+    mp4: Path | None = None
+    """Besides: an animation FILE.mp4 (needs ffmpeg)."""
+    flights: str | None = None
+    """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
+    fields: tuple[str, ...] = ()
+    """Scenario keywords: NAME=VALUE …, such as steps=40 targets=1."""
 
 
 @dataclass(frozen=True)
@@ -205,11 +228,7 @@ class List:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 2 for bad input, 1 for a paper that failed; why is on standard error."""
-    commands = {
-        "train": Train, "evaluate": Evaluate, "leaderboard": Leaderboard, "pack": Pack, "export": Export,
-        "track": Track,
-        "reproduce": Reproduce, "curves": Curves, "benchmark": Benchmark, "list": List,
-    }  # fmt: skip
+    commands = {name: command for name, (command, _) in COMMANDS.items()}
     command = tyro.extras.subcommand_cli_from_dict(commands, args=arguments, prog="passive-env", description=__doc__)
     return _guarded(command)
 
@@ -220,12 +239,9 @@ def train_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _guarded(command: Any) -> int:
-    runners = {
-        Train: _train, Evaluate: _evaluate, Leaderboard: _leaderboard, Pack: _pack, Export: _export, Track: _track,
-        Reproduce: _reproduce, Curves: _curves, Benchmark: _benchmark, List: _list,
-    }  # fmt: skip
+    (runner,) = (runner for kind, runner in COMMANDS.values() if kind is type(command))
     try:
-        status = runners[type(command)](command)
+        status = runner(command)
     except (ValueError, TypeError, OSError, MissingExtra) as error:
         print(f"passive-env: {error}", file=sys.stderr)
         return 2
@@ -245,6 +261,14 @@ def _evaluate(c: Evaluate) -> None:
     from agents.main_job import compare
 
     compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
+
+
+def _replay(c: Replay) -> None:
+    from agents.main_job import replay
+
+    fields = parse_fields(c.fields)
+    for path in replay(c.env, c.policies, c.seed, c.out, c.gif, c.mp4, c.flights, fields):
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _leaderboard(c: Leaderboard) -> None:
@@ -342,3 +366,19 @@ def _list(c: List) -> None:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+COMMANDS: dict[str, tuple[Any, Any]] = {
+    "train": (Train, _train),
+    "evaluate": (Evaluate, _evaluate),
+    "replay": (Replay, _replay),
+    "leaderboard": (Leaderboard, _leaderboard),
+    "pack": (Pack, _pack),
+    "export": (Export, _export),
+    "track": (Track, _track),
+    "reproduce": (Reproduce, _reproduce),
+    "curves": (Curves, _curves),
+    "benchmark": (Benchmark, _benchmark),
+    "list": (List, _list),
+}
+"""Arguments and function of every command, by its name."""

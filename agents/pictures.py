@@ -241,13 +241,18 @@ def _hide_left_labels(*panels: Axes) -> None:
 
 
 def _common_errors_km(paths: Mapping[str, EpisodePaths]) -> tuple[float, float]:
-    """Limits [km] that hold all bounds and the errors that are not near one of their passages through zero."""
+    """Limits [km] of all errors and bounds."""
     drawn = [np.ravel(part) for episode in paths.values() for part in (episode.error_m, episode.bound_m)]
-    values = 1e-3 * np.concatenate(drawn)
-    values = values[np.isfinite(values) & (values > 0.0)]
+    low, high = error_limits(np.concatenate(drawn))
+    return 1e-3 * low, 1e-3 * high
+
+
+def error_limits(values_m: np.ndarray) -> tuple[float, float]:
+    """Limits [m] that hold bounds and the errors [n] m that are not near one of their passages through zero."""
+    values = values_m[np.isfinite(values_m) & (values_m > 0.0)]
     if not len(values):
-        return 0.1, 10.0
-    return max(0.7 * np.percentile(values, 2.0), 1e-3), 1.4 * values.max()
+        return 100.0, 10e3
+    return max(0.7 * float(np.percentile(values, 2.0)), 1.0), 1.4 * float(values.max())
 
 
 def _errors_below(axes: Axes, time_s: Any, episode: EpisodePaths, limits: tuple[float, float]) -> None:

@@ -16,10 +16,9 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 
+from passive_env.layers import course_deg, half_axes
 from passive_env.palette import GRID, INK, MUTED
 
-ELLIPSE_STD = 2.0
-"""Half axes of a covariance ellipse in standard deviations."""
 DART_PT, RING_PT = 13.0, 16.0
 """Sizes of markers; a ring leaves the dart inside visible."""
 RING_LINE = (0, (5, 3))
@@ -66,10 +65,7 @@ def ellipses(mean: Any, cov: Any) -> np.ndarray:
 
     A covariance that is not finite gives a point.
     """
-    finite = np.isfinite(cov).all((-2, -1), keepdims=True)
-    values, vectors = np.linalg.eigh(np.where(finite, cov, 0.0))
-    half_axes = vectors * (ELLIPSE_STD * np.sqrt(np.maximum(values, 0.0)))[..., None, :]
-    return np.asarray(mean)[..., None, :] + np.swapaxes(half_axes @ _CIRCLE, -1, -2)
+    return np.asarray(mean)[..., None, :] + _CIRCLE.T @ half_axes(cov)
 
 
 def circles(center: Any, radius: Any) -> np.ndarray:
@@ -146,14 +142,9 @@ def add_discs(axes: Axes) -> PolyCollection:
 
 def place_dart(line: Line2D, state_m: Any) -> None:
     """Put a dart at a state [4] m, m/s, pointing along its velocity; a dot where that is 0."""
-    heading_deg = math.degrees(math.atan2(state_m[3], state_m[2]))
+    heading_deg = float(course_deg(state_m))
     line.set_data([1e-3 * state_m[0]], [1e-3 * state_m[1]])
-    line.set_marker(_arrow(heading_deg) if _moves(state_m) else MarkerStyle("o"))
-
-
-def _moves(state_m: Any) -> bool:
-    """Whether a state [4] has a course; rounding has none, one that turns on the spot has."""
-    return math.hypot(*state_m[2:]) > 1e-7
+    line.set_marker(_arrow(heading_deg) if math.isfinite(heading_deg) else MarkerStyle("o"))
 
 
 def place_estimates(rings: list[Line2D], notes: list[Any], reference_m: Any, mean_m: Any, frame: Frame) -> None:
@@ -186,7 +177,7 @@ def place_name(note: Any, state_m: Any, middle_m: Any, frame: Frame) -> None:
     behind it.
     """
     note.xy = 1e-3 * state_m[:2]
-    ahead = state_m[2:] / math.hypot(*state_m[2:]) if _moves(state_m) else np.array((0.0, 1.0))
+    ahead = state_m[2:] / math.hypot(*state_m[2:]) if np.isfinite(course_deg(state_m)) else np.array((0.0, 1.0))
     left = np.array((-ahead[1], ahead[0]))
     out = left if left @ (state_m[:2] - middle_m) > 0.0 else -left
     share = (note.xy - frame.low) / (frame.high - frame.low)

@@ -45,6 +45,19 @@ from passive_env.artists import (
     zone_samples,
 )
 from passive_env.core import Simulation, World
+from passive_env.layers import (
+    PLAN,
+    Instant,
+    View,
+    circle_rows,
+    clock,
+    dart_rows,
+    dot_rows,
+    ellipse_rows,
+    errors_of,
+    line_rows,
+    numbered,
+)
 from passive_env.palette import INK, series_color
 
 SIZE_IN, DPI = 8.0, 100
@@ -289,10 +302,7 @@ class Scene:
     def _show_tracks(self, world: World, frame: Frame) -> None:
         mean, stations = world.estimate.mean[0, :, :2], world.platforms[0, :, :2]
         self._ellipses.set_verts(list(1e-3 * ellipses(mean, world.estimate.cov[0, :, :2, :2])))
-        ends = stations + LINE_BEYOND * (mean[:, None] - stations)
-        lines = np.stack(np.broadcast_arrays(stations, ends), axis=2)
-        lines = np.where(world.reports.assigned[0][..., None, None], 1e-3 * lines, np.nan)
-        self._bearings.set_segments(list(lines.reshape(-1, 2, 2)))
+        self._bearings.set_segments(list(1e-3 * bearing_lines(world).reshape(-1, 2, 2)))
         place_estimates(self._estimates, self._off_frame, stations[-1], mean, frame)
 
     def _show_hypotheses(self, hypotheses: Hypotheses) -> None:
@@ -322,6 +332,52 @@ def hypotheses_of(state: Any) -> Hypotheses | None:
     if len(shape) != 3 or shape[2] < 2 or np.shape(mean) != (*shape, 4):
         return None
     return Hypotheses(np.asarray(mean)[0, ..., :2], np.exp(log_weights)[0])
+
+
+def bearing_lines(world: World) -> np.ndarray:
+    """Segments [m, s, 2, 2] m from stations to just beyond estimates; NaN where a bearing did not update the track."""
+    mean, stations = world.estimate.mean[0, :, :2], world.platforms[0, :, :2]
+    ends = stations + LINE_BEYOND * (mean[:, None] - stations)
+    lines = np.stack(np.broadcast_arrays(stations, ends), axis=2)
+    return np.where(world.reports.assigned[0][..., None, None], lines, np.nan)
+
+
+def level_layers(world: World, standoff_m: float) -> dict[str, np.ndarray]:
+    """Layers of a world (a batch of one) in the plane that all families show on their maps."""
+    truth, discs = world.truth[0], world.tape.discs[0]
+    mean, cov = world.estimate.mean[0, :, :2], world.estimate.cov[0, :, :2, :2]
+    layers = {
+        "platforms": dart_rows(world.platforms), "true targets": dart_rows(truth)[:, None],
+        "estimates": 1e-3 * mean[:, None], "2σ ellipses": ellipse_rows(mean, cov)[:, None],
+    }  # fmt: skip
+    if len(discs):
+        layers["no-go discs"] = circle_rows(discs[None, :, :2], discs[None, :, 2])
+    if standoff_m > 0.0:
+        layers["stand-off rings"] = circle_rows(truth[:, :2], standoff_m)[:, None]
+    return layers
+
+
+def bearing_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one) of stations that take bearings."""
+    scenario, banks = simulation.scenario, hypotheses_of(world.track_state)
+    layers = level_layers(world, scenario.standoff_m) | {"bearings used": line_rows(bearing_lines(world))}
+    heaviest = {}
+    if banks is not None:
+        layers["range hypotheses"] = dot_rows(1e-3 * banks.position, banks.weight)
+        words = numbered("heaviest hypothesis of target", len(banks.weight))
+        heaviest = dict(zip(words, banks.weight.max(-1), strict=True))
+    view = View("map", PLAN, layers, plane_names(world, scenario.reference))
+    at, label = clock(int(world.step[0]), scenario)
+    return [Instant(at, label, (view,), errors_of(world.metrics, scenario.score), heaviest)]
+
+
+def plane_names(world: World, reference: int) -> dict[str, tuple[str, ...]]:
+    """Names of platforms, targets and estimates, by layer."""
+    stations, targets = world.platforms.shape[1], world.truth.shape[1]
+    return {
+        "platforms": tuple(station_names(stations, reference)), "true targets": numbered("target", targets),
+        "estimates": numbered("estimate", targets),
+    }  # fmt: skip
 
 
 def _fingerprint(world: World) -> bytes:

@@ -19,7 +19,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from passive_env.artists import (
-    ELLIPSE_STD,
     RING_LINE,
     Frame,
     add_ellipses,
@@ -38,7 +37,21 @@ from passive_env.artists import (
     style_axes,
 )
 from passive_env.core import Simulation, World
-from passive_env.palette import BLUE, GRID, INK, MUTED, ORANGE, VERMILION
+from passive_env.layers import (
+    ELLIPSE_STD,
+    PLAN,
+    SENSOR_COLORS,
+    Instant,
+    View,
+    circle_rows,
+    clock,
+    dart_rows,
+    dot_rows,
+    ellipse_rows,
+    errors_of,
+    line_rows,
+)
+from passive_env.palette import BLUE, GRID, INK, MUTED
 from trackers import AnglePdaf
 from trackers.angle_contract import AngleScan
 from trackers.angle_filter import AngleFilter
@@ -51,8 +64,6 @@ PLAN_BOX = (0.085, 0.40, 0.58, 0.54)
 SIDE_BOX = (0.085, 0.14, 0.58, 0.18)
 SENSOR_BOXES = ((0.735, 0.665, 0.245, 0.245), (0.735, 0.315, 0.245, 0.245))
 """Left, bottom, width, height of the axes as shares of the picture."""
-SENSOR_COLORS = (VERMILION, ORANGE)
-"""Returns and gates of platform 0 and 1; the target and its track are blue."""
 Box = tuple[float, float, float, float]
 FARTHEST_ALTITUDE_KM = 30.0
 """An estimate farther up or down does not stretch the side view."""
@@ -106,7 +117,7 @@ class AngleScene:
     def __init__(self, figure: Figure, scenario: Any):
         self._figure, self._scenario = figure, scenario
         self.aspect = PLAN_BOX[2] / PLAN_BOX[3]
-        self._plan, self._side = (View(figure, box, scenario.stations) for box in (PLAN_BOX, SIDE_BOX))
+        self._plan, self._side = (Projection(figure, box, scenario.stations) for box in (PLAN_BOX, SIDE_BOX))
         style_axes(self._plan.axes)
         style_axes(self._side.axes)
         self._side.axes.set_aspect("auto")
@@ -146,7 +157,7 @@ class AngleScene:
         return np.array(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
-class View:
+class Projection:
     """Plan or side view."""
 
     def __init__(self, figure: Figure, box: Box, platforms: int):
@@ -197,7 +208,7 @@ class View:
                 colors.append(_faded(color, weight))
         self._rays.set_segments(segments)
         self._rays.set_color(colors)
-        component = 0 if axes[1] == 1 else 1  # azimuth bounds the plan, elevation the side view
+        component = _bounding(axes)
         bounds = [] if edges is None else [1e-3 * edge[:, pick] for s in range(2) for edge in edges[s, component]]
         self._edges.set_segments(bounds)
         self._edges.set_color([color for color in SENSOR_COLORS for _ in range(2)][: len(bounds)])
@@ -222,27 +233,105 @@ class Panel:
     def show(self, look: Look, truth: Any, platforms: Any) -> None:
         """Gate, returns and the target's true direction, all about the prediction (at first, the return)."""
         s = self._sensor
-        valid, weights = look.valid[s], look.weights[s]
+        valid, weights, center = look.valid[s], look.weights[s], middle_of(look, s)
+        reach = reach_deg(look, s, self._gate)
+        self._axes.set_xlabel(f"azimuth off {'the return' if look.centers is None else 'prediction'} [°]")
         if look.centers is None:
-            center, reach = (look.angles[s][valid][0] if valid.any() else np.zeros(2)), 2.0
             self._outline.set_data([], [])
-            self._axes.set_xlabel("azimuth off the return [°]")
         else:
-            center = look.centers[s]
-            self._axes.set_xlabel("azimuth off prediction [°]")
-            reach = 1.15 * np.degrees(math.sqrt(self._gate * np.diagonal(look.covs[s]).max()))
             outline = np.degrees(ellipses(np.zeros(2), look.covs[s] * (self._gate / ELLIPSE_STD**2)))
             self._outline.set_data(*outline.T)
-        offsets = np.degrees(wrap(look.angles[s][valid] - center))
-        self._returns.set_offsets(offsets)
+        self._returns.set_offsets(np.degrees(wrap(look.angles[s][valid] - center)))
         self._returns.set_sizes(12.0 + 130.0 * weights[valid])
         self._returns.set_color([_faded(self._color, weight) for weight in weights[valid]] or [self._color])
-        d = truth[:3] - platforms[s, :3]
-        direction = np.array([math.atan2(d[1], d[0]), math.atan2(d[2], math.hypot(d[0], d[1]))])
+        direction = direction_of(truth, platforms[s])
         self._truth.set_data(*np.degrees(wrap(direction - center))[:, None])
         self._axes.set_xlim(-reach, reach)
         self._axes.set_ylim(-reach, reach)
         self._head.set_text(f"P{s}: {_seen(int(valid.sum()), weights.sum())}")
+
+
+def middle_of(look: Look, s: int) -> np.ndarray:
+    """The direction [2] rad about which a sensor's returns are shown: the predicted one, at first a return's."""
+    if look.centers is not None:
+        return look.centers[s]
+    return look.angles[s][look.valid[s]][0] if look.valid[s].any() else np.zeros(2)
+
+
+def reach_deg(look: Look, s: int, gate_size: float) -> float:
+    """Half width [°] of axes that hold a sensor's gate."""
+    if look.covs is None:
+        return 2.0
+    return 1.15 * float(np.degrees(math.sqrt(gate_size * np.diagonal(look.covs[s]).max())))
+
+
+def direction_of(truth: np.ndarray, platform: np.ndarray) -> np.ndarray:
+    """Azimuth and elevation [2] rad of a target [6] as a platform [6] sees it."""
+    d = truth[:3] - platform[:3]
+    return np.array([math.atan2(d[1], d[0]), math.atan2(d[2], math.hypot(d[0], d[1]))])
+
+
+def angle_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one) in space: plan, side view, what either sensor sees."""
+    scenario, look = simulation.scenario, look_of(world, simulation)
+    names = {
+        "platforms": tuple(f"P{s}" for s in range(scenario.stations)), "true targets": ("target",),
+        "estimates": ("estimate",),
+    }  # fmt: skip
+    plan, side = (_space_layers(world, look, scenario, axes) for axes in ((0, 1), (0, 2)))
+    if scenario.standoff_m > 0.0:
+        plan["stand-off rings"] = circle_rows(world.truth[0, :, :2], scenario.standoff_m)[:, None]
+    views = (
+        View("map", PLAN, plan, names),
+        View("side view", ("east [km]", "altitude [km]"), side, names, equal=False),
+        *(_direction_view(world, look, s, scenario) for s in range(scenario.stations)),
+    )
+    at, label = clock(int(world.step[0]), scenario)
+    missed = world.reports.missed[0, 0]
+    words = [f"target missed by P{s}" for s in range(len(missed))]
+    errors = errors_of(world.metrics, scenario.score)
+    return [Instant(at, label, views, errors, dict(zip(words, missed, strict=True)))]
+
+
+def _space_layers(world: World, look: Look, scenario: Any, axes: tuple[int, int]) -> dict[str, np.ndarray]:
+    """Plan or side view: platforms, target, track, gates' edges and returns."""
+    pick = list(axes)
+    states = [*pick, *(3 + axis for axis in axes)]
+    mean, cov = world.estimate.mean[0][:, pick], world.estimate.cov[0][:, pick][:, :, pick]
+    platforms, mean = world.platforms[0], np.where(np.isfinite(mean), mean, 0.0)
+    length = 2.0 * float(np.linalg.norm(world.truth[0, 0, :2] - platforms[0, :2]))
+    rays = np.where(look.valid[..., None, None], _lines(platforms, look.angles, length)[..., pick], np.nan)
+    edges = _gate_edges(look, platforms, scenario.gate, length)
+    layers = {
+        "platforms": dart_rows(platforms[None][..., states]), "returns": line_rows(rays),
+        "true targets": dart_rows(world.truth[0][:, None, states]), "estimates": 1e-3 * mean[:, None],
+        "2σ ellipses": ellipse_rows(mean, cov)[:, None],
+    }  # fmt: skip
+    return layers if edges is None else layers | {"gates": line_rows(edges[:, _bounding(axes)][..., pick])}
+
+
+def _direction_view(world: World, look: Look, s: int, scenario: Any) -> View:
+    """Azimuth and elevation of a sensor's returns about the predicted direction, in the gate."""
+    center = middle_of(look, s)
+    offsets = np.degrees(wrap(look.angles[s] - center))
+    weights = np.where(look.valid[s], np.maximum(look.weights[s], 0.002), 0.0)  # those without weight are seen too
+    direction = np.degrees(wrap(direction_of(world.truth[0, 0], world.platforms[0, s]) - center))
+    layers = {"returns by weight": _of_group(s, dot_rows(offsets, weights)), "true direction": direction[None, None]}
+    if look.covs is not None:
+        size = np.degrees(1.0) ** 2 * scenario.gate / ELLIPSE_STD**2
+        layers["gate"] = _of_group(s, 1e3 * ellipse_rows(np.zeros(2), look.covs[s] * size)[None])
+    axes = ("azimuth off prediction [°]", "elevation off prediction [°]")
+    return View(f"what P{s} sees", axes, layers, reach=reach_deg(look, s, scenario.gate))
+
+
+def _of_group(s: int, rows: np.ndarray) -> np.ndarray:
+    """Rows [n, c] as those of group s: [s + 1, n, c], nothing in the groups before."""
+    return np.concatenate([np.full((s, *rows.shape), np.nan), rows[None]])
+
+
+def _bounding(axes: tuple[int, int]) -> int:
+    """Azimuth bounds the plan, elevation the side view."""
+    return 0 if axes[1] == 1 else 1
 
 
 def _seen(returns: int, weight: float) -> str:

@@ -19,8 +19,9 @@ from matplotlib.patches import Patch
 
 from passive_env.artists import Frame, ellipses, metres, ring
 from passive_env.core import Simulation, World
+from passive_env.layers import PLAN, Instant, View, clock, ellipse_rows, errors_of, line_rows, numbered
 from passive_env.palette import BLUE, GRID, INK, VERMILION
-from passive_env.render import Scene
+from passive_env.render import Scene, bearing_lines, level_layers, plane_names
 
 PLAN_BOX = (0.085, 0.175, 0.60, 0.745)
 ACCELERATION_BOX = (0.76, 0.63, 0.22, 0.22)
@@ -77,7 +78,7 @@ class ManeuverScene(Scene):
 
     def _show_accelerations(self, true: np.ndarray, estimate: np.ndarray) -> None:
         seen = np.where(np.isfinite(estimate), estimate, 0.0)
-        reach = max(REACH_M_S2, 1.1 * min(float(np.abs([true, seen]).max()), 1e3))
+        reach = _reach(true, estimate)
         self._true_acceleration.set_data([0.0, true[0]], [0.0, true[1]])
         self._acceleration.set_data(seen[:1], seen[1:])
         self._vectors.set_xlim(-reach, reach)
@@ -99,6 +100,34 @@ class ManeuverScene(Scene):
         fix = Line2D([], [], **FIX, label="fix, its 2σ ellipse (dotted)")
         found = Patch(facecolor=to_rgb(BLUE), label="maneuver detected by the model")
         return [fix, found]
+
+
+def maneuver_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one) with a maneuvering target."""
+    scenario, told = simulation.scenario, world.reports
+    layers = level_layers(world, scenario.standoff_m) | {"bearings used": line_rows(bearing_lines(world))}
+    if told.fix.fixed[0]:
+        layers["position fix"] = 1e-3 * told.fix.position[:, None]
+        layers["its 2σ ellipse"] = ellipse_rows(told.fix.position, told.fix.cov)[:, None]
+    true, estimated = told.true_acceleration[0], told.acceleration[0]
+    vectors = {
+        "true acceleration": np.concatenate([np.zeros_like(true), true], axis=-1)[:, None],
+        "estimated acceleration": estimated[:, None],
+    }
+    views = (
+        View("map", PLAN, layers, plane_names(world, scenario.reference)),
+        View("acceleration", ("east [m/s²]", "north [m/s²]"), vectors, reach=_reach(true, estimated)),
+    )
+    models = told.model_probability[0, 0]
+    at, label = clock(int(world.step[0]), scenario)
+    errors, names = errors_of(world.metrics, scenario.score), numbered("model", len(models))
+    return [Instant(at, label, views, errors, dict(zip(names, models, strict=True)))]
+
+
+def _reach(true: np.ndarray, estimated: np.ndarray) -> float:
+    """Half width of axes that hold both accelerations, unless the estimate is beyond belief."""
+    seen = np.where(np.isfinite(estimated), estimated, 0.0)
+    return max(REACH_M_S2, 1.1 * min(float(np.abs([true, seen]).max()), 1e3))
 
 
 def _panel(figure: Figure, box: tuple[float, float, float, float], title: str) -> Any:

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from passive_env.artists import bottom_legend, kilometres, ring
-from passive_env.core import World
+from passive_env.core import Simulation, World
+from passive_env.layers import Instant, clock, errors_of
 from passive_env.palette import BLUE, INK
 from passive_env.render_placement import (
     AREA,
@@ -21,6 +22,7 @@ from passive_env.render_placement import (
     draw_area,
     draw_heights,
     draw_sensors,
+    entry_views,
 )
 
 TRAIL: dict[str, Any] = {"color": INK, "linewidth": 1.4, "alpha": 0.75}
@@ -72,3 +74,12 @@ class MobileScene:
         canvas: Any = self._figure.canvas
         canvas.draw()
         return np.array(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def mobile_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one) of sensors on carriers; before they are installed none."""
+    scenario, step = simulation.scenario, int(world.step[0])
+    estimate, cov = world.estimate.mean[0, 0, :3], world.estimate.cov[0, 0, :3, :3]
+    installed = world.platforms.shape[1] if step > 0 else 0
+    views = entry_views(world, scenario, installed, world.truth[0, 0], estimate, cov)
+    return [Instant(*clock(step, scenario), views, errors_of(world.metrics, scenario.score), {})]

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from passive_env.artists import bottom_legend, kilometres, style_axes
-from passive_env.core import World
+from passive_env.core import Simulation, World
+from passive_env.layers import Instant, View, dart_rows, ellipse_rows, errors_of, line_rows, numbered
 from passive_env.palette import BLUE, GRID, INK, MUTED
 from passive_env.placement import Task, representative_courses, site
 
@@ -86,6 +87,12 @@ def area_corners(task: Task) -> np.ndarray:
     return np.concatenate([*outline, outline[0][:1]])
 
 
+def entry_arc(task: Task) -> np.ndarray:
+    """Where the target of a task (a batch of one) may enter, seen from above: [k, 2] m."""
+    bearing = np.linspace(-task.sector_rad[0], task.sector_rad[0], 41)
+    return task.entry_distance_m[0] * np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+
+
 def draw_area(axes: Axes, task: Task, scenario: Any) -> None:
     """Clear a map and draw where sensors may be and how the target of a task (a batch of one) may come."""
     axes.clear()
@@ -96,11 +103,10 @@ def draw_area(axes: Axes, task: Task, scenario: Any) -> None:
     axes.plot(*outline.T, **AREA)
     courses = representative_courses(task, scenario.scans, scenario.step_s)[0]
     axes.add_collection(LineCollection(list(1e-3 * courses[..., :2]), colors=BLUE, linewidths=0.9, alpha=0.6))
-    bearing = np.linspace(-task.sector_rad[0], task.sector_rad[0], 41)
-    sector = 1e-3 * task.entry_distance_m[0] * np.stack([np.cos(bearing), np.sin(bearing)])
-    axes.plot(*sector, **COURSE)
+    sector = 1e-3 * entry_arc(task)
+    axes.plot(*sector.T, **COURSE)
     axes.plot([0.0], [0.0], marker="+", color=INK, markersize=11)
-    points = np.concatenate([outline, sector.T, [[0.0, 0.0]]])
+    points = np.concatenate([outline, sector, [[0.0, 0.0]]])
     low, high = points.min(0), points.max(0)
     middle, size = 0.5 * (low + high), 1.1 * (high - low)
     box = axes.get_position(original=True)
@@ -136,6 +142,77 @@ def draw_sensors(axes: Axes, position_m: np.ndarray, ranging: np.ndarray, height
             str(i + 1), (x, y), xytext=(7, 5), textcoords="offset points", fontsize=9, fontweight="bold", color=color,
             zorder=7, annotation_clip=True,
         )  # fmt: skip
+
+
+def placement_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one): sensors placed, and once all are, the track by scans."""
+    scenario, placed, history = simulation.scenario, int(world.step[0]), world.reports
+    course = world.tape.targets[0, :, 0]
+    words = f"{placed} of {scenario.steps} sensors placed"
+    views = entry_views(world, scenario, placed, course[0], None)
+    instants = [Instant(float(placed), words, views, errors_of(world.metrics, scenario.score), {})]
+    if placed < scenario.steps:
+        return instants
+    unknown = np.full(len(course), np.nan)
+    bounds = {"position": history.position_crlb_m[0], "range": unknown}
+    for t, state in enumerate(course):
+        kinds = dict.fromkeys((scenario.score, "range"))
+        errors = {kind: (getattr(history, f"{kind}_error_m")[0, [t]], bounds[kind][[t]]) for kind in kinds}
+        views = entry_views(world, scenario, placed, state, history.position[0, t])
+        label = f"scan {t + 1} of {len(course)} (t = {t * scenario.step_s:g} s)"
+        instants.append(Instant(float(placed + 1 + t), label, views, errors, {}))
+    return instants
+
+
+def entry_views(
+    world: World, scenario: Any, installed: int, target: np.ndarray, estimate: np.ndarray | None, cov: Any = None
+) -> tuple[View, View]:
+    """Map and side view of sensors and a target that enters.
+
+    Args:
+        world: a batch of one.
+        scenario: supplies kinds of sensors and scans.
+        installed: how many sensors there are.
+        target: [6] its state.
+        estimate: [3] m, None for none; cov: [3, 3] m², None for none.
+    """
+    plan, side = (_entry_layers(world, scenario, installed, target, estimate, cov, axes) for axes in ((0, 1), (0, 2)))
+    sensors = numbered("sensor", world.platforms.shape[1])
+    names = {
+        **dict.fromkeys(("platforms", "sensors without range"), sensors), "true targets": ("target",),
+        "estimates": ("estimate",),
+    }  # fmt: skip
+    return (
+        View("map", ("towards the expected entry [km]", "to the left [km]"), plan, names),
+        View("side view", ("towards the expected entry [km]", "height [km]"), side, names, equal=False),
+    )
+
+
+def _entry_layers(world: World, scenario: Any, installed: int, target: Any, estimate: Any, cov: Any, axes: Any) -> Any:
+    """Layers of the map (axes 0, 1) or the side view (axes 0, 2)."""
+    pick, task = list(axes), world.tape.task.rows(slice(1))
+    states = [*pick, *(3 + axis for axis in axes)]
+    courses = representative_courses(task, scenario.scans, scenario.step_s)[0][:, [0, -1]][..., pick]
+    there = (np.arange(world.platforms.shape[1]) < installed)[:, None]
+    sensors = np.where(there, dart_rows(world.platforms[0][:, states]), np.nan)
+    layers = {
+        "expected courses": line_rows(courses)[None], "true targets": dart_rows(target[states])[None, None],
+        "platforms": np.where(scenario.ranging[:, None], sensors, np.nan)[None],
+    }  # fmt: skip
+    if not scenario.ranging.all():
+        layers["sensors without range"] = np.where(scenario.ranging[:, None], np.nan, sensors)[None, :, :2]
+    if estimate is not None:
+        layers["estimates"] = 1e-3 * estimate[None, None, pick]
+    if cov is not None:
+        layers["2σ ellipses"] = ellipse_rows(estimate[pick], cov[np.ix_(pick, pick)])[None, None]
+    if axes == (0, 1):
+        return layers | {
+            "where sensors may be": 1e-3 * area_corners(task)[None],
+            "where the target enters": 1e-3 * entry_arc(task)[None],
+        }
+    corners = area_corners(task)[:, 0]
+    limit = np.array([[corners.min(), task.height_limit_m[0]], [corners.max(), task.height_limit_m[0]]])
+    return layers | {"where sensors may be": 1e-3 * limit[None]}
 
 
 def _sensor_sample(ranging: bool, label: str) -> Line2D:

@@ -33,8 +33,9 @@ from passive_env.artists import (
 )
 from passive_env.core import Simulation, World
 from passive_env.kinematics import plan_view
+from passive_env.layers import PLAN, Instant, View, clock, errors_of, line_rows, numbered
 from passive_env.palette import BLUE, GREEN, INK, MUTED, ORANGE, PURPLE, VERMILION
-from passive_env.render import Scene
+from passive_env.render import Scene, level_layers
 from trackers.ellipse_intersection import intersect
 from trackers.gaussian import Gaussian
 
@@ -139,26 +140,20 @@ class RadarScene(Scene):
 
     def _show_tracks(self, world: World, frame: Frame) -> None:
         """The estimate with its ellipse, and the ways of the echoes that came: no station is assigned here."""
-        told = world.reports.listening.answered[0]
         mean, own = world.estimate.mean[0, :, :2], world.platforms[0, 0, :2]
         self._ellipses.set_verts(list(1e-3 * ellipses(mean, world.estimate.cov[0, :, :2, :2])))
         place_estimates(self._estimates, self._off_frame, own, mean, frame)
-        ways = [np.stack([site, mean[0], own]) for site in world.tape.transmitters[0, told, :2]]
-        self._bearings.set_segments([1e-3 * way for way in ways])
+        self._bearings.set_segments(list(1e-3 * echo_ways(world)))
 
     def _show_sums(self, world: World, sites: np.ndarray, height: float) -> None:
         """Ellipses of the echoes that came, and the ghost where two of them cross again."""
         scan, own = world.reports.scan, world.platforms[0, 0, :2]
-        came = np.flatnonzero(scan.valid[0])
-        sums = scan.range_sums[0, came]
-        outlines = [sum_ellipse(s, own, site, height) for s, site in zip(sums, sites[came], strict=True)]
+        came = scan.valid[0]
+        outlines = [
+            sum_ellipse(s, own, site, height) for s, site in zip(scan.range_sums[0, came], sites[came], strict=True)
+        ]
         self._sums.set_segments([1e-3 * outline for outline in outlines])
-        ghost = np.empty((0, 2))
-        if len(came) >= 2 and self._in_plane:
-            crossings = intersect(sums[:2], sites[came[:2]], own)
-            away = np.hypot(*(crossings.position - world.estimate.mean[0, 0, :2]).T)
-            ghost = crossings.position[[away.argmax()]] if crossings.valid.all() else ghost
-        self._ghost.set_data(*(1e-3 * ghost.T))
+        self._ghost.set_data(*(1e-3 * ghost_of(world).T) if self._in_plane else ([], []))
 
     def _show_rows(self, world: World) -> None:
         step, told = int(world.step[0]), world.reports.listening
@@ -180,15 +175,75 @@ class RadarScene(Scene):
 
 def sum_ellipse(range_sum_m: float, receiver: np.ndarray, transmitter: np.ndarray, height: float = 0.0) -> np.ndarray:
     """Level outline [k, 2] m of the points of a range sum, at a height [m] above two sites [2] m; one point if none."""
+    middle, *half = sum_axes(range_sum_m, receiver, transmitter, height)
+    angle = np.linspace(0.0, 2.0 * math.pi, 181)[:, None]
+    return middle + np.cos(angle) * half[0] + np.sin(angle) * half[1]
+
+
+def sum_axes(range_sum_m: float, receiver: np.ndarray, transmitter: np.ndarray, height: float = 0.0) -> np.ndarray:
+    """Middle and half axes of the same ellipse: [3, 2] m."""
     middle, line = 0.5 * (receiver + transmitter), 0.5 * (transmitter - receiver)
     focal = max(math.hypot(*line), 1e-9)
     major = max(0.5 * range_sum_m, focal)
     minor = math.sqrt(major * major - focal * focal)
     scale = math.sqrt(max(1.0 - (height / minor) ** 2, 0.0)) if minor > 0.0 else 1.0
-    angle = np.linspace(0.0, 2.0 * math.pi, 181)[:, None]
     along = line / focal
     left = np.array([-along[1], along[0]])
-    return middle + scale * (major * np.cos(angle) * along + minor * np.sin(angle) * left)
+    return np.stack([middle, scale * major * along, scale * minor * left])
+
+
+def echo_ways(world: World) -> np.ndarray:
+    """Ways [n, 3, 2] m of the last echoes (a batch of one): transmitter, estimate, receiver."""
+    sites = world.tape.transmitters[0, world.reports.listening.answered[0], :2]
+    ends = np.broadcast_to([world.estimate.mean[0, 0, :2], world.platforms[0, 0, :2]], (len(sites), 2, 2))
+    return np.concatenate([sites[:, None], ends], axis=1)
+
+
+def ghost_of(world: World) -> np.ndarray:
+    """Where the first two echoes' ellipses cross once more, off the estimate: [1, 2] m in the plane, or [0, 2]."""
+    scan = world.reports.scan
+    came = np.flatnonzero(scan.valid[0])[:2]
+    if len(came) < 2:
+        return np.empty((0, 2))
+    sites = world.tape.transmitters[0, came, :2]
+    crossings = intersect(scan.range_sums[0, came], sites, world.platforms[0, 0, :2])
+    away = np.hypot(*(crossings.position - world.estimate.mean[0, 0, :2]).T)
+    return crossings.position[[away.argmax()]] if crossings.valid.all() else np.empty((0, 2))
+
+
+def radar_instants(world: World, simulation: Simulation) -> list[Instant]:
+    """What there is to see of a world (a batch of one) of a passive radar."""
+    scenario, known = simulation.scenario, world.reports.listening
+    layers = level_layers(_level(world), scenario.standoff_m) | _radar_layers(world, scenario.dimensions)
+    names = {
+        "platforms": ("receiver",), "true targets": ("target",), "estimates": ("estimate",),
+        **dict.fromkeys(("transmitters", "other transmitters"), numbered("transmitter", scenario.pool)),
+    }  # fmt: skip
+    at, label = clock(int(world.step[0]), scenario)
+    blocked = dict(zip(numbered("blocked transmitter", scenario.pool), known.blocked_probability[0], strict=True))
+    errors = errors_of(world.metrics, scenario.score)
+    return [Instant(at, label, (View("map", PLAN, layers, names),), errors, blocked)]
+
+
+def _radar_layers(world: World, dimensions: int) -> dict[str, np.ndarray]:
+    """Transmitters, those listened to, those blocked and those whose echo did not come; echoes and their range sums."""
+    known, scan = world.reports.listening, world.reports.scan
+    sites, own = world.tape.transmitters[0, :, :2], world.platforms[0, 0, :2]
+    height = float(world.estimate.mean[0, 0, 2]) if dimensions == 3 else 0.0
+    came = scan.valid[0]
+    sums = [sum_axes(s, own, site, height) for s, site in zip(scan.range_sums[0, came], sites[came], strict=True)]
+    ways = echo_ways(world)
+    ghost = ghost_of(world) if dimensions == 2 else np.empty((0, 2))
+
+    def only(flags: np.ndarray) -> np.ndarray:
+        return np.where(flags[:, None], 1e-3 * sites, np.nan)[None]
+
+    return {
+        "transmitters": only(known.chosen[0]), "other transmitters": only(~known.chosen[0]),
+        "echo missed": only(known.missed[0]), "blocked (the truth)": only(world.reports.blocked[0]),
+        "range sums": 1e-3 * np.reshape(sums, (1, len(sums), 6)), "ghost": 1e-3 * ghost[None],
+        "echoes": line_rows(np.concatenate([ways[:, :2], ways[:, 1:]]))[None],
+    }  # fmt: skip
 
 
 def _level(world: World) -> World:

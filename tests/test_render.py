@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from passive_env import PassiveEnv, PassiveVectorEnv
-from passive_env.artists import ELLIPSE_STD, Frame, edge_points, ellipses, grow, kilometres, metres
+from passive_env.artists import Frame, edge_points, ellipses, grow, kilometres, metres
+from passive_env.layers import ELLIPSE_STD
 from passive_env.render import Trail, Viewer, hypotheses_of
 from trackers import Bank, FusedEkf
 

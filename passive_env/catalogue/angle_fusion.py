@@ -20,6 +20,7 @@ from passive_env.angle_sensors import AngleSensors, Clutter
 from passive_env.angle_tape import AngleReturnModel, AngleTape, angle_returns
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import turn_and_climb
+from passive_env.layers import Instant
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import draw
 from passive_env.truth import TruthObservation
@@ -206,6 +207,12 @@ class AngleFusion(TrackingScenario):
         from passive_env.render_angles import AngleScene
 
         return AngleScene(figure, self)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render_angles import angle_instants
+
+        return angle_instants(world, simulation)
 
     def move(self, platforms, command):
         """Platforms [e, s, 6] after one step of commands [e, 2 s] in [−1, 1]: turns, then climbs."""

@@ -17,6 +17,7 @@ import numpy as np
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import turn
+from passive_env.layers import Instant
 from passive_env.metrics import BearingMetrics
 from passive_env.observations import TrackObservation
 from passive_env.scenario import choice, flag, free, integer, number
@@ -138,6 +139,12 @@ class BearingScenario(TrackingScenario):
         from passive_env.render import Scene
 
         return Scene(figure, self.stations, self.targets, self.steps, self.standoff_m)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render import bearing_instants
+
+        return bearing_instants(world, simulation)
 
     def move(self, platforms, command):
         """Platforms [e, s, 4] after one step of turn commands [e, s] in [−1, 1]."""

@@ -22,6 +22,9 @@ class CourseScenario(Scenario):
     """Fields that decide what an agent sees, not what happens; with "actions" they are its interface: a policy trained
     with some flies with others."""
 
+    replay_axis: ClassVar[str] = "time [s]"
+    """What `passive_env.layers.Instant.at` counts."""
+
     course: str = choice("random", ("random", "flights"), "target motion: drawn, or recorded flights")
     steps: int = integer(45, 1, 10_000, "decisions per episode")
     step_s: float = number(2.0, 0.1, 60.0, "time between scans")

@@ -20,6 +20,7 @@ from passive_env.actions import Continuous, Discrete, HeadingsAndSpeeds
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, STANDING_M_S, drive, maneuver, random_maneuvers
+from passive_env.layers import Instant
 from passive_env.maneuver_metrics import ManeuverFigures
 from passive_env.maneuver_observation import ManeuverObservation
 from passive_env.maneuver_sensors import AzimuthSensors
@@ -225,6 +226,12 @@ class ManeuveringTarget(TrackingScenario):
         from passive_env.render_maneuver import ManeuverScene
 
         return ManeuverScene(figure, self)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render_maneuver import maneuver_instants
+
+        return maneuver_instants(world, simulation)
 
     def move(self, platforms, command):
         """Stations [e, s, 4] after one step of commands [e, 2 s] in [−1, 1]: turns, then speeds."""

@@ -12,6 +12,7 @@ import numpy as np
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue.entry import CLEAR_STD, COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
 from passive_env.catalogue.placement import LEVELS
+from passive_env.layers import Instant
 from passive_env.mobile_metrics import MobileFigures
 from passive_env.mobile_observation import MobileObservation
 from passive_env.mobile_sensors import RadarSensors
@@ -148,6 +149,12 @@ class MobilePlacement(EntryScenario):
         from passive_env.render_mobile import MobileScene
 
         return MobileScene(figure, self)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render_mobile import mobile_instants
+
+        return mobile_instants(world, simulation)
 
     def draw_tape(self, generators: Sequence[np.random.Generator]) -> PlacementTape:
         """Tapes of len(generators) episodes, row i from generator i; their first instant is before the first scan."""

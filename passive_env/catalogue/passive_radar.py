@@ -21,6 +21,7 @@ from passive_env.catalogue.angle_fusion import place_flight_in_space
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, plan_view, random_maneuvers, turn, turn_and_climb
+from passive_env.layers import Instant
 from passive_env.radar_metrics import RadarFigures
 from passive_env.radar_observation import FORESEEN_SCANS, RadarObservation
 from passive_env.radar_promise import Foresight, Promise
@@ -355,6 +356,12 @@ class PassiveRadar(TrackingScenario):
         from passive_env.render_radar import RadarScene
 
         return RadarScene(figure, self)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render_radar import radar_instants
+
+        return radar_instants(world, simulation)
 
     def move(self, platforms, command):
         """The receiver [e, 1, 2d] after one step of commands [e, a]: the first is its turn, where it moves."""

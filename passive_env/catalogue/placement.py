@@ -16,6 +16,7 @@ import numpy as np
 
 from passive_env.actions import Continuous, Discrete
 from passive_env.catalogue.entry import CLEAR_STD, COURSE_UNIFORMS, TASK_UNIFORMS, EntryScenario
+from passive_env.layers import Instant
 from passive_env.placement_observation import PlacementObservation
 from passive_env.placement_simulation import PlacementSimulation, PlacementTape
 from passive_env.scenario import choice, integer, number
@@ -58,6 +59,7 @@ class RadarPlacement(EntryScenario):
         ("angle_only", "steps"),
         ("scored_scans", "scans"),
     )
+    replay_axis: ClassVar[str] = "sensors placed, then scans"
 
     steps: int = integer(3, 1, 4, "sensors to place, one per step; a single one is there to compare with")
     angle_only: int = integer(0, 0, 4, "how many of them, the last ones, measure azimuth and elevation only")
@@ -141,6 +143,12 @@ class RadarPlacement(EntryScenario):
         from passive_env.render_placement import PlacementScene
 
         return PlacementScene(figure, self)
+
+    def make_instants(self, world: Any, simulation: Any) -> list[Instant]:
+        """What there is to see of a world (a batch of one), as plain numbers."""
+        from passive_env.render_placement import placement_instants
+
+        return placement_instants(world, simulation)
 
     def draw_tape(self, generators: Sequence[np.random.Generator]) -> PlacementTape:
         """Tapes of len(generators) episodes, row i from generator i."""
