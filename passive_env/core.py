@@ -111,6 +111,7 @@ class Simulation:
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             told.assigned, told.returns, world.last_action, world.track_state, world.tape.discs,
             told.missed, told.available, told.model_probability, told.detected, told.acceleration,
+            world.tape.platforms, told.received,
         )  # fmt: skip
 
     def observe(self, world: World) -> Any:
