@@ -17,6 +17,9 @@ from passive_env.observations import Field
 from passive_env.scenario import Scenario
 from passive_env.team import IdleWorlds, Team
 
+NUMBERS = "biuf"
+"""Kinds of arrays of numbers: bool, signed, unsigned, float."""
+
 
 class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
     """One episode in which every platform is an agent: ``platform_0``, ``platform_1``, … in the scenario's order.
@@ -63,6 +66,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         self.observation_spaces = {agent: copy.deepcopy(self.team.observation_space) for agent in self.possible_agents}
         self.action_spaces = {agent: copy.deepcopy(self.team.action_space) for agent in self.possible_agents}
         self.state_space = self._env.observation_space
+        self._shape = self.team.steering.columns.shape
         self._state: np.ndarray | None = None
 
     @property
@@ -128,7 +132,8 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def _observations(self) -> dict[str, np.ndarray]:
         assert self._state is not None
-        seen = self.team.observe(self._env.belief(), self._state[None])[0]
+        belief = self._env.belief() if self.team.needs_belief else None
+        seen = self.team.observe(belief, self._state[None])[0]
         return dict(zip(self.possible_agents, seen, strict=True))
 
     def _rewards(self, reward: float) -> dict[str, float]:
@@ -145,17 +150,25 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         if not isinstance(actions, Mapping) or actions.keys() != set(self.agents):
             given = ", ".join(map(str, actions)) if isinstance(actions, Mapping) else repr(actions)
             raise ValueError(f"actions: got {given or 'none'}, must be a dict with one for each of {self.agents}")
-        own = [self._numbers(agent, actions[agent]) for agent in self.agents]
-        return self.team.joined(np.array([own]))[0]
-
-    def _numbers(self, agent: str, action: Any) -> np.ndarray:
-        space: Any = self.action_spaces[agent]
         try:
-            values = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"action of {agent}: {action!r}, must be numbers of shape {space.shape}") from error
-        if values.shape != space.shape:
-            raise ValueError(f"action of {agent}: has shape {values.shape}, must have shape {space.shape}")
+            own = np.array([actions[agent] for agent in self.agents])
+        except ValueError:  # of different shapes
+            own = None
+        if own is None or own.shape != self._shape or own.dtype.kind not in NUMBERS or not np.isfinite(own).all():
+            raise next(filter(None, (self._refusal(agent, actions[agent]) for agent in self.agents)))
+        return self.team.joined(own[None])[0]
+
+    def _refusal(self, agent: str, action: Any) -> ValueError | None:
+        """What is wrong with an agent's action; None if nothing is."""
+        shape = self._shape[1:]
+        try:
+            values = np.array(action)
+        except ValueError:
+            values = np.array(None)
+        if values.dtype.kind not in NUMBERS:
+            return ValueError(f"action of {agent}: {action!r}, must be numbers of shape {shape}")
+        if values.shape != shape:
+            return ValueError(f"action of {agent}: has shape {values.shape}, must have shape {shape}")
         if not np.isfinite(values).all():
-            raise ValueError(f"action of {agent}: {action!r}, every value must be a finite number")
-        return values
+            return ValueError(f"action of {agent}: {action!r}, every value must be a finite number")
+        return None

@@ -69,22 +69,48 @@ class Team:
         _check("reward", reward, REWARDS)
         self.simulation, self.view, self.reward = simulation, view, reward
         self.steering = _steering(simulation.scenario)
-        self._own = _own(simulation.scenario) if view == "own" else None
+        self._own = _own_observation(simulation.scenario) if view == "own" else None
         seen = simulation.observation.fields if self._own is None else self._own.fields
         size = len(self.steering.columns)
         self.agents = tuple(f"platform_{i}" for i in range(size))
         self.fields: tuple[Field, ...] = (*seen, *(Field(f"agent.is{i}", "1", "its number") for i in range(size)))
         self.observation_space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self.action_space = _share(simulation.actions.space, self.steering.columns)
+        self._numbers = np.eye(size, dtype=np.float32)
+
+    @property
+    def needs_belief(self) -> bool:
+        """Whether the environment's own observation does not tell what agents see."""
+        return self._own is not None
 
     def observe(self, belief: Any, observation: np.ndarray | None = None) -> np.ndarray:
-        """Observations [e, s, d] float32 of a belief; observation: the environment's own [e, …], if it is there."""
-        seen = self._common(belief, observation) if self._own is None else self._own(belief)
+        """Observations [e, s, d] float32.
+
+        Args:
+            belief: of e episodes; not used with view "common" if the observation is there.
+            observation: the environment's own [e, …]; None makes it of the belief where it is needed.
+        """
+        if self._own is not None:
+            seen = self._own(belief)
+        else:
+            seen = (self.simulation.observation(belief) if observation is None else observation)[:, None]
         size, width = len(self.agents), seen.shape[-1]
         told = np.empty((len(seen), size, width + size), dtype=np.float32)
         told[..., :width] = seen
-        told[..., width:] = np.eye(size, dtype=np.float32)
+        told[..., width:] = self._numbers
         return told
+
+    def mirrored(self, observation: np.ndarray) -> np.ndarray:
+        """Observations [..., d] of the mirrored worlds, with view "common": left is right, agents keep their numbers.
+
+        Raises:
+            ValueError: another view.
+        """
+        if self._own is not None:
+            raise ValueError(f"view = {self.view!r}: only observations with view 'common' are mirrored")
+        width = observation.shape[-1] - len(self.agents)
+        seen = self.simulation.observation.mirrored(observation[..., :width])
+        return np.concatenate([seen, observation[..., width:]], axis=-1)
 
     def joined(self, actions: np.ndarray) -> np.ndarray:
         """The environment's actions [e, a] of the agents' [e, s, k]."""
@@ -93,11 +119,8 @@ class Team:
         return whole
 
     def split(self, actions: np.ndarray) -> np.ndarray:
-        """The agents' actions [e, s, k] of the environment's [e, a]."""
-        return actions[:, self.steering.columns]
-
-    def _common(self, belief: Any, observation: np.ndarray | None) -> np.ndarray:
-        return (self.simulation.observation(belief) if observation is None else observation)[:, None]
+        """The agents' actions [..., s, k] of the environment's [..., a]."""
+        return actions[..., self.steering.columns]
 
 
 class IdleWorlds:
@@ -161,7 +184,7 @@ def _steering(scenario: Any) -> Steering:
     return steering
 
 
-def _own(scenario: Any) -> Any:
+def _own_observation(scenario: Any) -> Any:
     """What platforms know by themselves.
 
     Raises:

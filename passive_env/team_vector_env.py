@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from passive_env.core import World
 from passive_env.observations import Field
 from passive_env.scenario import Scenario
 from passive_env.team import IdleWorlds, Team
@@ -60,8 +61,19 @@ class TeamVectorEnv(VectorEnv):
         """Name, unit and scale of every number of an agent's observation."""
         return self.team.fields
 
+    @property
+    def world(self) -> World:
+        """The true world of all episodes; for evaluation and pictures, never for policies."""
+        return self.episodes.world
+
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
-        """Begin all episodes; seeds as of `PassiveVectorEnv`, one per episode."""
+        """Begin all episodes; seeds as of `PassiveVectorEnv`, one per episode.
+
+        Raises:
+            ValueError: a mask, or a list of seeds of the wrong length.
+        """
+        if options is not None and "reset_mask" in options:
+            raise ValueError("reset_mask: all episodes begin together, leave it out")
         observation, info = self.episodes.reset(seed=seed)
         if self._idle is not None:
             self._idle.begin(self.episodes.world)
@@ -93,13 +105,15 @@ class TeamVectorEnv(VectorEnv):
         self.episodes.close()
 
     def _rows(self, observation: np.ndarray) -> np.ndarray:
-        seen = self.team.observe(self.episodes.belief(), observation)
+        team = self.team
+        seen = self.episodes.of_beliefs(team.observe) if team.needs_belief else team.observe(None, observation)
         return seen.reshape(self.num_envs, -1)
 
     def _earned(self, reward: np.ndarray) -> np.ndarray:
         if self._idle is None:
             return np.repeat(reward, len(self.team.agents))
-        return self._idle.difference(self.episodes.world.last_action, reward).ravel()
+        commands = self.episodes.of_beliefs(lambda belief: belief.last_action)
+        return self._idle.difference(commands, reward).ravel()
 
     def _info(self, info: dict[str, Any], reward: np.ndarray) -> dict[str, Any]:
         size = len(self.team.agents)
