@@ -7,7 +7,7 @@ for all; what differs is only where the platforms went. Ratios of means come wit
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -414,11 +414,13 @@ def fly_all(
     return records
 
 
-def summarize(environment: str, seed: int, records: Mapping[str, Record]) -> dict[str, Any]:
+def summarize(
+    environment: str, seed: int, records: Mapping[str, Record], more_baselines: Sequence[str] = ()
+) -> dict[str, Any]:
     """The evaluation as plain data: figures per policy, ratios to the baselines with paired 95 % intervals."""
     outcomes = {name: record.outcomes for name, record in records.items()}
     first = next(iter(outcomes.values()))
-    baselines = [name for name in BASELINES if name in records] or [next(iter(records))]
+    baselines = [name for name in (*BASELINES, *more_baselines) if name in records] or [next(iter(records))]
     return {
         "environment": environment,
         "episodes": len(first.lost),

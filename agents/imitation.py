@@ -12,6 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch.nn import functional
 
 from agents.policy import make_policy, sees_world
+from passive_env.team import Team
 from passive_env.truth import TruthObservation
 from passive_env.vector_env import PassiveVectorEnv
 
@@ -30,6 +31,7 @@ def imitate(
     critic: float = 0.0,
     mirror: bool = False,
     truth: TruthObservation | None = None,
+    team: Team | None = None,
 ) -> float:
     """Fit the actor to a teacher's commands; returns the last loss.
 
@@ -52,9 +54,12 @@ def imitate(
         mirror: learn from the mirror image of every flight too, with left and right exchanged; a teacher that treats
             the two sides alike would have flown it so.
         truth: what the critic of an `agents.asymmetric.AsymmetricPolicy` sees beside the belief.
+        team: the agents that share the actor: each learns its part of the teacher's actions from what it sees.
     """
     policy: Any = model.policy
-    flights = _demonstrations(scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror, truth)
+    flights = _demonstrations(
+        scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror, truth, team
+    )
     length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
     x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
     optimizer = torch.optim.Adam(policy.parameters(), learning_rate)
@@ -101,6 +106,7 @@ def _demonstrations(
     gamma: float,
     mirror: bool,
     truth: TruthObservation | None = None,
+    team: Team | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Disturbed flights: observations [k, e, d], the teacher's actions [k, e, a], discounted rewards to go [k, e]."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
@@ -117,7 +123,7 @@ def _demonstrations(
     for _ in range(scenario.steps):
         belief = env.belief()
         command = policy.act(belief, observation)
-        observations.append(observation)
+        observations.append(observation if team is None else team.observe(belief, observation))
         if truth is not None:
             truths.append(truth(env.world))
         actions.append(codec.encode(command, belief))
@@ -128,7 +134,7 @@ def _demonstrations(
     for k in range(len(rewards) - 2, -1, -1):
         rewards[k] = rewards[k] + gamma * rewards[k + 1]
     y, earned = np.array(actions), np.array(rewards, dtype=np.float32)
-    seen = [(np.array(observations), env.simulation.observation.mirrored)]
+    seen = [(np.array(observations), env.simulation.observation.mirrored if team is None else team.mirrored)]
     if truth is not None:
         seen.append((np.array(truths), truth.mirrored))
     x = np.concatenate([part for part, _ in seen], axis=-1)
@@ -136,4 +142,12 @@ def _demonstrations(
         x = np.concatenate([x, np.concatenate([image(part) for part, image in seen], axis=-1)], axis=1)
         y = np.concatenate([y, codec.mirrored(y)], axis=1)
         earned = np.concatenate([earned, earned], axis=1)
-    return x, y, earned
+    return (x, y, earned) if team is None else _dealt(team, x, y, earned)
+
+
+def _dealt(team: Team, x: np.ndarray, y: np.ndarray, earned: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Flights of agents, [k, e s, …], of what they saw [k, e, s, d], the teacher's actions [k, e, a] and rewards."""
+    steps, _, size, width = x.shape
+    actions = team.split(y)
+    rows = (x.reshape(steps, -1, width), actions.reshape(steps, -1, actions.shape[-1]))
+    return *rows, np.repeat(earned, size, axis=1)

@@ -12,28 +12,32 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from passive_env.observations import LIMIT
+from passive_env.team_vector_env import TeamVectorEnv
 from passive_env.vector_env import PassiveVectorEnv
 
 
 class Sb3VecEnv(VecEnv):
-    """A `PassiveVectorEnv` with Stable-Baselines3's interface.
+    """A `PassiveVectorEnv` or `TeamVectorEnv` with Stable-Baselines3's interface.
 
     The horizon is part of the task and the time left is observed, so by default the last step is terminal for the
     learner: values are not bootstrapped past it.
 
     Args:
-        env: vector environment in autoreset mode SAME_STEP.
+        env: vector environment in autoreset mode SAME_STEP; rows of agents are environments to the learner.
         bootstrap_at_horizon: mark the last step as a time limit, past which values are bootstrapped.
         truth: append what a critic may know (`passive_env.truth`) to the observations; see `agents.asymmetric`.
     Raises:
-        ValueError: another autoreset mode, or truth together with a bootstrap, which needs the belief alone.
+        ValueError: another autoreset mode, or truth together with a bootstrap, which needs the belief alone, or with
+            rows of agents.
     """
 
-    def __init__(self, env: PassiveVectorEnv, bootstrap_at_horizon: bool = False, truth: bool = False):
+    def __init__(self, env: PassiveVectorEnv | TeamVectorEnv, bootstrap_at_horizon: bool = False, truth: bool = False):
         if env.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ValueError(f"Sb3VecEnv needs autoreset_mode='same_step', got {env.autoreset_mode.name}")
         if truth and bootstrap_at_horizon:
             raise ValueError("truth=True goes with bootstrap_at_horizon=False: an episode's last truth is not kept")
+        if truth and isinstance(env, TeamVectorEnv):
+            raise ValueError("truth=True needs a PassiveVectorEnv: rows of agents have no truth of their own")
         self.env = env
         self.truth = env.scenario.make_truth_observation() if truth else None
         self.bootstrap_at_horizon = bootstrap_at_horizon

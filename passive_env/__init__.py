@@ -11,6 +11,7 @@ check_names()
 
 from passive_env.belief import Belief  # noqa: E402
 from passive_env.env import PassiveEnv  # noqa: E402
+from passive_env.parallel import parallel_env  # noqa: E402
 from passive_env.registration import register_all  # noqa: E402
 from passive_env.scenario import Scenario  # noqa: E402
 from passive_env.vector_env import PassiveVectorEnv  # noqa: E402
@@ -18,4 +19,4 @@ from passive_env.vector_env import PassiveVectorEnv  # noqa: E402
 register_all()
 
 __version__ = "0.1.0"
-__all__ = ["Belief", "PassiveEnv", "PassiveVectorEnv", "Scenario", "__version__"]
+__all__ = ["Belief", "PassiveEnv", "PassiveVectorEnv", "Scenario", "__version__", "parallel_env"]

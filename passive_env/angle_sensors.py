@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from passive_env.angle_tape import AngleTape
+from passive_env.belief import Received
 from trackers.angle_contract import AngleScan, AngleUpdate
 from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
@@ -59,6 +60,11 @@ class AngleReports(NamedTuple):
     model_probability: Any = ()
     detected: Any = ()
     acceleration: Any = ()
+
+    @property
+    def received(self) -> Received:
+        """The returns of the scan, as of `passive_env.belief.Belief`."""
+        return Received(self.scan.angles, self.scan.valid)
 
 
 class Clutter(NamedTuple):

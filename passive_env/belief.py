@@ -5,6 +5,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 
+class Received(NamedTuple):
+    """What the platforms' sensors themselves delivered at the last scan; e environments, s platforms, b slots.
+
+    Attributes:
+        angles: [e, s, b, 1] azimuths [rad], counter-clockwise from east; in space [e, s, b, 2] with elevations.
+        valid: [e, s, b] bool, slots that hold a return; in no order that would tell which is whose.
+    """
+
+    angles: Any
+    valid: Any
+
+
 class Reports(NamedTuple):
     """What the last scan brought, as an operator sees it; fields as in `Belief`."""
 
@@ -15,6 +27,7 @@ class Reports(NamedTuple):
     model_probability: Any = ()
     detected: Any = ()
     acceleration: Any = ()
+    received: Any = ()
 
 
 class Belief(NamedTuple):
@@ -38,6 +51,8 @@ class Belief(NamedTuple):
             in scenarios whose trackers have none.
         detected: [e, m, r] bool, models that find the target maneuvering.
         acceleration: [e, m, 2] estimated acceleration [m/s²].
+        start: [e, s, n] the platforms at the first scan.
+        received: the last scan itself, a `Received`.
     """
 
     steps_left: Any
@@ -54,3 +69,5 @@ class Belief(NamedTuple):
     model_probability: Any = ()
     detected: Any = ()
     acceleration: Any = ()
+    start: Any = ()
+    received: Any = ()

@@ -31,7 +31,8 @@ from trackers.gaussian import Gaussian
 class World(NamedTuple):
     """Everything about e episodes at one instant; every array's first axis is the environment.
 
-    Tape, reports and metrics are the family's own tuples; `reports` is what the last scan brought.
+    Tape, reports and metrics are the family's own tuples; `reports` is what the last scan brought, `start` where the
+    platforms were at the first one.
     """
 
     step: Any
@@ -45,6 +46,7 @@ class World(NamedTuple):
     truth: Any
     metrics: Any
     violations: Violations
+    start: Any = ()
 
 
 class Simulation:
@@ -70,7 +72,7 @@ class Simulation:
         return World(
             np.zeros(batch, dtype=np.int64), tape.platforms, tape, state, estimate, reports,
             np.zeros((batch, self.actions.size)), bound, sighting.truth, metrics,
-            self.metrics.violations(tape.platforms, sighting.truth, tape),
+            self.metrics.violations(tape.platforms, sighting.truth, tape), tape.platforms,
         )  # fmt: skip
 
     def advance(self, world: World, command: Any) -> tuple[World, Any, dict[str, Any]]:
@@ -86,7 +88,7 @@ class Simulation:
         bound, metrics = self.metrics.advance(estimate, sighting.truth, world.bound, platforms, world.tape, reports)
         new = World(
             step, platforms, world.tape, update.posterior, estimate, reports, command, bound, sighting.truth, metrics,
-            self.metrics.violations(platforms, sighting.truth, world.tape),
+            self.metrics.violations(platforms, sighting.truth, world.tape), world.start,
         )  # fmt: skip
         moment = Moment(metrics, world.metrics, new.violations, command, self.finished(new))
         reward, terms = evaluate(self.scenario.reward_weights, moment)
@@ -111,6 +113,7 @@ class Simulation:
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             told.assigned, told.returns, world.last_action, world.track_state, world.tape.discs,
             told.missed, told.available, told.model_probability, told.detected, told.acceleration,
+            world.start, told.received,
         )  # fmt: skip
 
     def observe(self, world: World) -> Any:

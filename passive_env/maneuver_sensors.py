@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from passive_env.belief import Received
 from passive_env.maneuver_metrics import HARDEST_M_S2
 from passive_env.maneuver_tape import ManeuverTape
 from trackers.angles import wrap_scalar
@@ -36,6 +37,7 @@ class ManeuverReports(NamedTuple):
         fixed: [e, m] bool, whether the azimuths crossed well enough for a position fix.
         fix: the crossing itself, position [e, 2] m and covariance [e, 2, 2] m², 0 where there is none.
         true_acceleration: [e, m, 2] m/s², for the figures of merit only.
+        received: the scan itself.
     """
 
     assigned: Any
@@ -48,6 +50,7 @@ class ManeuverReports(NamedTuple):
     fixed: Any
     fix: PositionFix
     true_acceleration: Any
+    received: Received
 
 
 @kernel("(k,m,x),(k,m,p),(k,s),(k,s),(),(s,x),(),()->(s),(s),(m,x),(m,p)", "FFFBiFffFBFF")
@@ -121,5 +124,5 @@ class AzimuthSensors:
         return ManeuverReports(
             valid[:, None] & fixed[..., None], np.add.reduce(valid, axis=-1), np.empty((e, m, 0)),
             np.empty((e, 0, 2), dtype=bool), probability, detected, self._tracker.acceleration(state).mean, fixed,
-            fix, sighting.acceleration,
+            fix, sighting.acceleration, Received(sighting.scan.bearings[..., None, None], valid[..., None]),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from gymnasium import spaces
 
 from passive_env.mobile_simulation import MobileBelief
 from passive_env.observations import LIMIT, Field, clip_value
+from passive_env.placement import seen_from_entry
 from passive_env.placement_observation import kind_of, task_fields, task_numbers
 from trackers.compiled import helper, kernel
 
@@ -160,3 +161,75 @@ def _fields(ranging: Any):
         yield Field(f"sensor{i}.log_range", "m", "log(distance from the target / 50 km); 0 until installed")
         yield Field(f"sensor{i}.above", "1", "sine of its elevation seen from the target; 0 until installed")
         yield Field(f"sensor{i}.available", "1", "1 if it measured at the last scan")
+
+
+class OwnMobileObservation:
+    """Every carrier's own place and what its own sensor measured at the last scan; nothing of the track or of others.
+
+    The task is the briefing that all get before the episode. Directions are told as places are: off the direction from
+    the expected entry to the site, to the left of who looks there.
+
+    Fields in order (`fields` names each with its unit and scale); N is a number:
+
+        time_left                              1    share of the episode's decisions
+        task.…                                      as of `passive_env.placement_observation.PlacementObservation`
+        own.azimuth_cos own.azimuth_sin        1    at the expected entry; 0 until installed, as the next two
+        own.distance                           m    (horizontal distance from the expected entry − 200 km) / 50 km
+        own.height                             m    / 10 km
+        own.last_actionN                       1    its own previous action
+        own.measured                           1    whether it measured at the last scan; the rest is 0 if not
+        own.measured_log_range                 m    log(measured range / 50 km); 0 of a sensor without range
+        own.measured_cos own.measured_sin      1    of the measured azimuth
+        own.measured_elevation                 rad
+
+    Values are clipped to ±5.
+
+    Args:
+        columns: [n, 3] which numbers of a command are whose.
+        ranging: [n] whether a sensor measures range.
+        steps: decisions of an episode.
+    """
+
+    def __init__(self, columns: np.ndarray, ranging: np.ndarray, steps: int):
+        self.fields = tuple(_own_fields())
+        self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
+        self._columns, self._ranging, self._steps = columns, ranging, steps
+
+    def __call__(self, belief: MobileBelief) -> Any:
+        """Observations [e, n, d] float32 inside the space."""
+        shared = np.hstack([(belief.steps_left / self._steps)[:, None], task_numbers(belief.task)])
+        numbers = [
+            np.broadcast_to(shared[:, None], (*belief.measured.shape, shared.shape[1])),
+            self._place(belief), belief.last_action[:, self._columns], self._measurement(belief),
+        ]  # fmt: skip
+        return np.clip(np.concatenate(numbers, axis=-1), -LIMIT, LIMIT).astype(np.float32)
+
+    def _place(self, belief: MobileBelief) -> np.ndarray:
+        azimuth, distance, height = seen_from_entry(belief.platforms[..., :3], belief.task.entry_distance_m[:, None])
+        place = np.stack([np.cos(azimuth), np.sin(azimuth), (distance - 2e5) / 5e4, height / 1e4], axis=-1)
+        return np.where(belief.installed[:, None, None], place, 0.0)
+
+    def _measurement(self, belief: MobileBelief) -> np.ndarray:
+        (r, azimuth, elevation), told = np.moveaxis(belief.measurement, -1, 0), belief.measured
+        log_range = np.log(np.where(told & self._ranging, np.maximum(r, 1.0), 5e4) / 5e4)
+        return np.stack(
+            [
+                told, log_range, np.where(told, -np.cos(azimuth), 0.0), np.where(told, -np.sin(azimuth), 0.0), elevation
+            ], axis=-1,
+        )  # fmt: skip
+
+
+def _own_fields():
+    yield Field("time_left", "1", "share of the episode's decisions")
+    yield from task_fields()
+    yield Field("own.azimuth_cos", "1", "of its azimuth at the expected entry; 0 until installed")
+    yield Field("own.azimuth_sin", "1", "of its azimuth at the expected entry; 0 until installed", odd=True)
+    yield Field("own.distance", "m", "(from the expected entry, level − 200 km) / 50 km; 0 until installed")
+    yield Field("own.height", "m", "/ 10 km; 0 until installed")
+    for k in range(3):
+        yield Field(f"own.last_action{k}", "1", "its own previous action", odd=k == 0)
+    yield Field("own.measured", "1", "1 if it measured at the last scan")
+    yield Field("own.measured_log_range", "m", "log(range / 50 km); 0 without")
+    yield Field("own.measured_cos", "1", "of the azimuth off the direction from the entry to the site; 0 without")
+    yield Field("own.measured_sin", "1", "of the azimuth off the direction from the entry to the site; 0 without", True)
+    yield Field("own.measured_elevation", "rad", "0 without")

@@ -33,9 +33,11 @@ class MobileReports(NamedTuple):
 
     Attributes:
         measured: [e, n] bool, whether a sensor measured the target.
+        measurement: [e, n, 3] range [m], 0 of a sensor without, azimuth and elevation [rad]; all 0 where not measured.
     """
 
     measured: Any
+    measurement: Any
 
 
 @kernel("(k,m,x6),(k,n,p3),(),(n,x6),(p3),(n),()->(n,p3),(n),(m,x6)", "FFiFFBfFBF")
@@ -78,11 +80,13 @@ class RadarSensors:
 
     def acquired(self, sighting: MobileSighting, state: ScanState) -> MobileReports:
         """What there is before the first scan: nothing."""
-        return MobileReports(np.zeros((len(sighting.truth), self._scenario.sensors), dtype=bool))
+        shape = (len(sighting.truth), self._scenario.sensors)
+        return MobileReports(np.zeros(shape, dtype=bool), np.zeros((*shape, 3)))
 
     def report(self, sighting: MobileSighting, update: ScanUpdate) -> MobileReports:
         """What a scan brought."""
-        return MobileReports(sighting.scan.measured[:, 0])
+        measured = sighting.scan.measured[:, 0]
+        return MobileReports(measured, np.where(measured[..., None], sighting.scan.measurement[:, 0], 0.0))
 
     def info(self, reports: MobileReports) -> dict[str, Any]:
         """Nothing besides the figures of merit."""

@@ -25,6 +25,7 @@ class MobileBelief(NamedTuple):
         installed: [e] bool, whether the sensors are.
         measured: [e, n] bool, whether a sensor measured the target at the last scan.
         track_state: the tracker's own state.
+        measurement: [e, n, 3] what it measured: range [m], azimuth and elevation [rad]; 0 where it did not.
     """
 
     steps_left: Any
@@ -36,6 +37,7 @@ class MobileBelief(NamedTuple):
     installed: Any
     measured: Any
     track_state: Any
+    measurement: Any
 
 
 class MobileSimulation(Simulation):
@@ -52,6 +54,7 @@ class MobileSimulation(Simulation):
         return MobileBelief(
             self.scenario.steps - world.step, world.platforms, world.estimate.mean, world.estimate.cov,
             world.last_action, world.tape.task, world.step > 0, world.reports.measured, world.track_state,
+            world.reports.measurement,
         )  # fmt: skip
 
 

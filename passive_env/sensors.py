@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.belief import Reports
+from passive_env.belief import Received, Reports
 from passive_env.tape import Tape
 from trackers.angles import wrap_scalar
 from trackers.compiled import kernel
@@ -110,7 +110,11 @@ class DirectionFinders:
     def acquired(self, sighting: Sighting, state: Any) -> Reports:
         """What the first scan brought: all of it started tracks."""
         e, stations, targets = sighting.scan.valid.shape
-        return _reports(np.ones((e, targets, stations), dtype=bool), sighting.scan)
+        slots = [(0, 0), (0, 0), (0, sighting.origin.shape[-1] - targets)]  # as many as later scans have
+        scan = sighting.scan._replace(
+            bearings=np.pad(sighting.scan.bearings, slots), valid=np.pad(sighting.scan.valid, slots)
+        )
+        return _reports(np.ones((e, targets, stations), dtype=bool), scan)
 
     def report(self, sighting: Sighting, update: Update) -> Reports:
         """What a scan brought; a tracker that uses the reference only reports one column, the others are unassigned."""
@@ -130,7 +134,10 @@ class DirectionFinders:
 def _reports(assigned: np.ndarray, scan: Scan) -> Reports:
     e, targets, _ = assigned.shape
     returns = np.add.reduce(scan.valid, axis=-1)
-    return Reports(assigned, returns, missed=np.empty((e, targets, 0)), available=np.empty((e, 0, 2), dtype=bool))
+    return Reports(
+        assigned, returns, missed=np.empty((e, targets, 0)), available=np.empty((e, 0, 2), dtype=bool),
+        received=Received(scan.bearings[..., None], scan.valid),
+    )  # fmt: skip
 
 
 def _renumber(tape: Tape, order: np.ndarray) -> Tape:

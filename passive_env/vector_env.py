@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -92,6 +92,12 @@ class PassiveVectorEnv(VectorEnv):
     def belief(self) -> Belief:
         """What the operators of all sub-environments know now."""
         return self.simulation.belief(self.world)
+
+    def of_beliefs(self, function: Callable[[Any], np.ndarray]) -> np.ndarray:
+        """What a function makes of beliefs, an array [num_envs, …], asked block by block."""
+        if self._worlds is None:
+            raise gym.error.ResetNeeded("call reset() before of_beliefs()")
+        return np.concatenate([function(self.simulation.belief(world)) for world in self._worlds])
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
         """Begin episodes; ``options={"reset_mask": bool [num_envs]}`` begins some only (autoreset mode DISABLED).

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from agents.benchmark.clutter import measure_clutter
 from agents.benchmark.environments import (
+    measure_agents,
     measure_carriers,
     measure_decisions,
     measure_memory,
@@ -49,6 +50,7 @@ MEASUREMENTS: Mapping[str, Callable[[Effort], Section]] = {
     "decisions": measure_decisions,
     "resets": measure_resets,
     "single environment": measure_single,
+    "several agents": measure_agents,
     "memory": measure_memory,
     "PPO": measure_ppo,
 }

@@ -13,6 +13,7 @@ from agents.benchmark.timing import Effort, Task, seconds, take_turns
 from agents.greedy import Greedy
 from agents.planner import Planner
 from passive_env.catalogue import environment_id, make_scenario
+from passive_env.parallel import parallel_env
 from passive_env.vector_env import PassiveVectorEnv
 
 SCENARIO, ONE_PLATFORM, TWO_AIRCRAFT, MANEUVERS = "TwoStation", "Ownship", "AngleFusion", "ManeuveringTarget"
@@ -163,6 +164,39 @@ def _step_times(env: gym.Env[Any, Any], rng: np.random.Generator, seed: int) -> 
         outcome: list[Any] = []
         yield seconds(lambda action=action, outcome=outcome: outcome.extend(env.step(action)))
         done = outcome[2] or outcome[3]
+
+
+def measure_agents(effort: Effort) -> Section:
+    """Median time of a step with PettingZoo's interface, and its share beyond that of the single environment's step.
+
+    The two fly the same episodes in turn.
+    """
+    try:
+        parallel = parallel_env(environment_id(SCENARIO))
+    except ImportError as error:
+        return Section([], [str(error)])
+    single = gym.make(environment_id(SCENARIO), disable_env_checker=True)
+    ours: list[float] = []
+    base: list[float] = []
+    for episode in range(effort.episodes + 1):
+        rng = np.random.default_rng(episode)
+        steps = list(_step_times(single, rng, episode)), list(_parallel_step_times(parallel, rng, episode))
+        if episode > 0:
+            base += steps[0]
+            ours += steps[1]
+    step, beyond = float(np.median(ours)), float(np.median(ours) / np.median(base)) - 1.0
+    return Section(
+        [Result("parallel_env_step", 1e6 * step, "µs"), Result("parallel_env_overhead", 100.0 * beyond, "%", "< 30")]
+    )
+
+
+def _parallel_step_times(env: Any, rng: np.random.Generator, seed: int) -> Iterator[float]:
+    """Wall time of every step of an episode [s]."""
+    env.reset(seed=seed)
+    shape = env.action_space(env.agents[0]).shape
+    while env.agents:
+        actions = {agent: rng.uniform(-1.0, 1.0, shape).astype(np.float32) for agent in env.agents}
+        yield seconds(lambda actions=actions: env.step(actions))
 
 
 def measure_memory(effort: Effort) -> Section:

@@ -21,8 +21,10 @@ from passive_env.angle_tape import AngleReturnModel, AngleTape, angle_returns
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import turn_and_climb
 from passive_env.layers import Instant
+from passive_env.own_observation import OwnObservation
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import draw
+from passive_env.team import Steering, kind_by_kind
 from passive_env.truth import TruthObservation
 from trackers import ANGLE_TRACKERS
 from trackers.angle_contract import AngleTracker
@@ -185,6 +187,25 @@ class AngleFusion(TrackingScenario):
     def make_observation(self) -> AngleObservation:
         """Observation model."""
         return AngleObservation(self.stations, self.steps)
+
+    @property
+    def steering(self) -> Steering:
+        """Turn and climb rate per platform; one that idles flies straight and level."""
+        return kind_by_kind(self.stations, (0.0, 0.0))
+
+    def make_own_observation(self) -> OwnObservation:
+        """What every platform knows by itself.
+
+        Raises:
+            ValueError: false returns lie about the common track and would tell where that is.
+        """
+        if self.clutter_mean > 0.0:
+            raise self._error(
+                "clutter_mean", "such false returns lie in the gates of the common track, which a platform alone does "
+                "not know; take clutter_mean=0 and clutter_density_per_deg2, or view='common'",
+            )  # fmt: skip
+        slots = 1 + self._returns.false_slots
+        return OwnObservation(self.steering.columns, self.steps, slots, dimensions=3, place_unit_m=1e4)
 
     def make_truth_observation(self) -> TruthObservation:
         """What a critic may know in training."""

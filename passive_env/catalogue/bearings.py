@@ -20,9 +20,11 @@ from passive_env.kinematics import turn
 from passive_env.layers import Instant
 from passive_env.metrics import BearingMetrics
 from passive_env.observations import TrackObservation
+from passive_env.own_observation import OwnObservation
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.sensors import DirectionFinders
 from passive_env.tape import ReturnModel, Tape, draw, returns, uniforms_needed
+from passive_env.team import Steering, kind_by_kind
 from passive_env.truth import TruthObservation
 from trackers import TRACKERS
 from trackers.association import AssociationModel
@@ -122,6 +124,15 @@ class BearingScenario(TrackingScenario):
         """Observation model."""
         return TrackObservation(self.stations, self.targets, self.stations, self.steps, self.discs)
 
+    @property
+    def steering(self) -> Steering | None:
+        """A turn rate per station; one that idles flies straight on."""
+        return kind_by_kind(self.stations, (0.0,)) if self.stations > 1 else None
+
+    def make_own_observation(self) -> OwnObservation:
+        """What every station knows by itself."""
+        return OwnObservation(kind_by_kind(self.stations, (0.0,)).columns, self.steps, self._returns.slots)
+
     def make_truth_observation(self) -> TruthObservation:
         """What a critic may know in training."""
         return TruthObservation(self.targets)
@@ -152,13 +163,18 @@ class BearingScenario(TrackingScenario):
 
     def draw_tape(self, generators: Sequence[np.random.Generator]) -> Tape:
         """Tapes of len(generators) episodes, row i from generator i."""
-        k, s, m = self.steps + 1, self.stations, self.targets
-        model = ReturnModel(k, s, m, self.detection_probability, self.false_bearings_mean)
+        k, s, m, model = self.steps + 1, self.stations, self.targets, self._returns
         course = self.course_uniforms
         z, u = draw(generators, k * s * m, course + uniforms_needed(model))
         courses = self.draw_courses(np.ascontiguousarray(u[:, :course]))
         noise = z.reshape(-1, k, s, m)
         return Tape(courses.platforms, courses.targets, noise, **returns(model, u[:, course:]), discs=courses.discs)
+
+    @property
+    def _returns(self) -> ReturnModel:
+        return ReturnModel(
+            self.steps + 1, self.stations, self.targets, self.detection_probability, self.false_bearings_mean
+        )
 
     def fly_flights(self, start: np.ndarray, picks: np.ndarray) -> np.ndarray:
         """Recorded windows chosen by uniforms [e, m] that begin at the starts [e, m, 4] on their courses.

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from passive_env.core import Simulation
 from passive_env.flights import FlightPaths, load_flights
 from passive_env.scenario import Scenario, choice, free, integer, number
+from passive_env.team import Steering
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,19 @@ class CourseScenario(Scenario):
     def make_simulation(self) -> Simulation:
         """The loop that runs this scenario's episodes."""
         return Simulation(self)
+
+    @property
+    def steering(self) -> Steering | None:
+        """Which numbers of a command steer which platform; None where no two platforms are steered at a time."""
+        return None
+
+    def make_own_observation(self) -> Any:
+        """What every steered platform knows by itself, of beliefs to [e, s, d].
+
+        Raises:
+            ValueError: there is no such share of the belief.
+        """
+        raise ValueError(f"{type(self).__name__}: has no steered platforms that sense on their own")
 
     def interface(self) -> dict[str, Any]:
         """Values of the fields that decide how an agent sees and acts."""

@@ -25,8 +25,10 @@ from passive_env.maneuver_metrics import ManeuverFigures
 from passive_env.maneuver_observation import ManeuverObservation
 from passive_env.maneuver_sensors import AzimuthSensors
 from passive_env.maneuver_tape import ManeuverTape
+from passive_env.own_observation import OwnObservation
 from passive_env.scenario import choice, free, integer, number
 from passive_env.tape import Reader, draw
+from passive_env.team import Steering, kind_by_kind
 from passive_env.truth import ManeuverTruthObservation
 from trackers import MANEUVER_TRACKERS
 from trackers.compiled import kernel
@@ -208,6 +210,15 @@ class ManeuveringTarget(TrackingScenario):
     def make_observation(self) -> ManeuverObservation:
         """Observation model."""
         return ManeuverObservation(self.stations, self.steps, self.make_tracker().models, self.top_speed_m_s)
+
+    @property
+    def steering(self) -> Steering:
+        """Turn rate and speed per station; one that idles goes straight on at the least speed."""
+        return kind_by_kind(self.stations, (0.0, -1.0))
+
+    def make_own_observation(self) -> OwnObservation:
+        """What every station knows by itself."""
+        return OwnObservation(self.steering.columns, self.steps, 1, place_unit_m=2e3, top_speed_m_s=self.top_speed_m_s)
 
     def make_truth_observation(self) -> ManeuverTruthObservation:
         """What a critic may know in training."""

@@ -14,13 +14,14 @@ from passive_env.catalogue.entry import CLEAR_STD, COURSE_UNIFORMS, TASK_UNIFORM
 from passive_env.catalogue.placement import LEVELS
 from passive_env.layers import Instant
 from passive_env.mobile_metrics import MobileFigures
-from passive_env.mobile_observation import MobileObservation
+from passive_env.mobile_observation import MobileObservation, OwnMobileObservation
 from passive_env.mobile_sensors import RadarSensors
 from passive_env.mobile_simulation import MobileSimulation
 from passive_env.placement import Task
 from passive_env.placement_simulation import PlacementTape
 from passive_env.scenario import choice, integer, number
 from passive_env.tape import draw
+from passive_env.team import Steering, one_by_one
 from passive_env.velocities import Velocities
 from trackers.scan_fusion import MODES, ScanFusion
 
@@ -135,6 +136,15 @@ class MobilePlacement(EntryScenario):
     def make_observation(self) -> MobileObservation:
         """Observation model."""
         return MobileObservation(self.ranging, self.steps)
+
+    @property
+    def steering(self) -> Steering:
+        """The place per sensor where it should go to; one that idles stands in the middle of what is allowed."""
+        return one_by_one(self.sensors, (0.0, 0.0, 0.0))
+
+    def make_own_observation(self) -> OwnMobileObservation:
+        """What every sensor knows by itself."""
+        return OwnMobileObservation(self.steering.columns, self.ranging, self.steps)
 
     def make_sensors(self, tracker: ScanFusion) -> RadarSensors:
         """The sensors on their carriers."""
