@@ -14,14 +14,7 @@ from gymnasium import spaces
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 from ray.rllib.env.single_agent_episode import SingleAgentEpisode
-from ray.rllib.utils.metrics import (
-    EPISODE_LEN_MEAN,
-    EPISODE_RETURN_MEAN,
-    NUM_ENV_STEPS_SAMPLED,
-    NUM_ENV_STEPS_SAMPLED_LIFETIME,
-    NUM_EPISODES,
-    SAMPLE_TIMER,
-)
+from ray.rllib.utils.metrics import EPISODE_LEN_MEAN, EPISODE_RETURN_MEAN, SAMPLE_TIMER
 
 from agents.sb3 import observation_space
 from passive_env.vector_env import PassiveVectorEnv
@@ -145,9 +138,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
 
     def _log(self, rewards: np.ndarray, info: dict[str, Any]) -> None:
         """Log a rollout; rewards [e, k]."""
-        for name in (NUM_ENV_STEPS_SAMPLED, NUM_ENV_STEPS_SAMPLED_LIFETIME):
-            self.metrics.log_value(name, rewards.size, reduce="lifetime_sum" if "lifetime" in name else "sum")
-        self.metrics.log_value(NUM_EPISODES, len(rewards), reduce="sum")
+        self._increase_sampled_metrics(rewards.size, len(rewards))
         self.metrics.log_value(EPISODE_LEN_MEAN, rewards.shape[1], window=1)
         self.metrics.log_value(EPISODE_RETURN_MEAN, float(rewards.sum(axis=1).mean()), window=1)
         self.metrics.log_value(FINAL_ERROR, float(info["range_error_m"].mean()), window=1)
