@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import fly_all, summarize, unique_names
+from agents.distributed.cluster import ray_module
+from agents.evaluation import Engine, fly_all, here, summarize, unique_names
 from agents.files import make_folder
 from agents.learned import is_trained, open_policy
 from agents.policy import Policy, make_policy, policy_names, sees_world
@@ -22,9 +24,12 @@ FINAL_SEED = 30_000_000
 
 def train_and_compare(
     env: str, algo: str, timesteps: int | None, seed: int, envs: int | None, device: str, out: Path | None,
-    resume: bool, episodes: int, flights: str, fields: dict[str, Any],
+    resume: bool, episodes: int, flights: str, fields: dict[str, Any], runners: int = 0, address: str | None = None,
 ) -> Path:  # fmt: skip
-    """The main job; returns the run folder. Arguments as in `agents.cli.Train`; fields as keywords of the scenario."""
+    """The main job; returns the run folder.
+
+    Arguments as in `agents.cli.Train`; fields as keywords of the scenario, runners 0 for Stable-Baselines3.
+    """
     from agents.training import plan, train
 
     name = scenario_name(env)
@@ -33,9 +38,13 @@ def train_and_compare(
         raise ValueError(f"--seed {seed}: must lie below 2**32")
     flown_by(name, flights, fields)  # a bad file must fail before the training, not after it
     folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
-    run = plan(name, folder, algo, seed, device, timesteps, envs, fields)
+    run = plan(name, folder, algo, seed, device, timesteps, envs, fields, runners)
     begin = time.perf_counter()
-    train(run, resume)
+    if runners:
+        train_on_ray = ray_module("agents.distributed.training").train_on_ray
+        train_on_ray(run, address, resume)
+    else:
+        train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
     policies = (*_standard_policies(name, fields), str(folder))
     compare(env, policies, (), episodes, FINAL_SEED, None, folder, fields)
@@ -45,11 +54,12 @@ def train_and_compare(
 
 def compare(
     env: str, policies: Sequence[str] | None, trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
-    out: Path, fields: dict[str, Any],
+    out: Path, fields: dict[str, Any], engine: AbstractContextManager[Engine] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Evaluate policies (crossed with trackers, if any are named), write the files and print the table.
 
-    Arguments as in `agents.cli.Evaluate`, fields as keywords of the scenario; returns the summary.
+    Arguments as in `agents.cli.Evaluate`, fields as keywords of the scenario, engine what flies, once it is entered
+    (None: this process); returns the summary.
     """
     name = scenario_name(env)
     _check_numbers(episodes, seed)
@@ -62,14 +72,15 @@ def compare(
     teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
     make_folder(out)
     summaries = {}
-    for tracker, scenario in scenarios.items():
-        records = fly_all(scenario, teams[tracker], episodes, seed)
-        summary = summarize(environment_id(name), seed, records)
-        summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights, "fields": fields}
-        folder = out / tracker if len(scenarios) > 1 else out
-        write_evaluation(folder, summary, records, scenario)
-        print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
-        summaries[tracker] = summary
+    with engine or nullcontext(here) as fly_by:
+        for tracker, scenario in scenarios.items():
+            records = fly_all(scenario, teams[tracker], episodes, seed, engine=fly_by)
+            summary = summarize(environment_id(name), seed, records)
+            summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights, "fields": fields}
+            folder = out / tracker if len(scenarios) > 1 else out
+            write_evaluation(folder, summary, records, scenario)
+            print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
+            summaries[tracker] = summary
     if len(summaries) == 1:
         return next(iter(summaries.values()))
     write_crossing(out, summaries)

@@ -42,7 +42,8 @@ REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
 SAME = (
-    "environment", "interface", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset", "runners",
+    "environment", "interface", "observation_digest", "algo", "seed", "timesteps", "envs", "runners", "fields",
+    "preset",
 )  # fmt: skip
 """Entries of a run's configuration that must be as they were for it to be resumed."""
 

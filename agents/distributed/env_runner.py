@@ -86,7 +86,8 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
                 columns.setdefault(name, []).append(values)
         arrays = {name: np.stack(values, axis=1) for name, values in columns.items()}
         self._log(arrays[Columns.REWARDS], info)
-        return [self._episode(seed + i, {name: array[i] for name, array in arrays.items()}) for i in range(self.num_envs)]
+        rows = ({name: array[i] for name, array in arrays.items()} for i in range(self.num_envs))
+        return [self._episode(seed + i, row) for i, row in enumerate(rows)]
 
     def _next_seed(self) -> int:
         """Seed of the next rollout's first episode; another one too if all steps so far are as many as the last time.

@@ -56,7 +56,7 @@ DEFAULTS = {"ent_coef": 0.0, "vf_coef": 0.5, "clip_range": 0.2, "max_grad_norm":
 
 
 def train_on_ray(run: Run, address: str | None = None, resume: bool = False, progress: bool = True) -> Path:
-    """Train and leave what `agents.training.train` leaves, with folders ``checkpoint-STEPS`` for its ``checkpoint.zip``.
+    """Train and leave what `agents.training.train` leaves, with a folder ``checkpoint-STEPS`` for its checkpoint.
 
     Args:
         run: what to train; ``run.runners`` processes fly.
@@ -99,10 +99,12 @@ def configuration(run: Run, model: BaseAlgorithm) -> PPOConfig:
     given = {**DEFAULTS, **run.preset.get("arguments", {})}
     unknown = sorted(given.keys() - ARGUMENTS.keys())
     if unknown:
-        raise ValueError(f"--engine rllib knows no {', '.join(unknown)}: a preset's arguments are {', '.join(ARGUMENTS)}")
+        known = ", ".join(ARGUMENTS)
+        raise ValueError(f"--engine rllib knows no {', '.join(unknown)}: a preset's arguments can be {known}")
     settings: Any = {ARGUMENTS[name]: value for name, value in given.items()}
     settings["minibatch_size"] = min(settings["minibatch_size"], whole)
-    decay = [[0, rate], [int((1.0 - FINAL_RATE) * run.timesteps), FINAL_RATE * rate], [run.timesteps, FINAL_RATE * rate]]
+    low = FINAL_RATE * rate
+    decay = [[0, rate], [int((1.0 - FINAL_RATE) * run.timesteps), low], [run.timesteps, low]]
     fields = {**run.preset.get("scenario", {}), **run.fields}
     return (
         PPOConfig()

@@ -7,9 +7,11 @@ import datetime
 import platform
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from agents.evaluation import Engine, here
 from agents.files import make_folder
 from agents.leaderboard.cells import Cell, code_digest, fly_cells
 from agents.leaderboard.contestants import (
@@ -60,10 +62,12 @@ def leaderboard(
     envs: Sequence[str] = (), policies: Sequence[str] = (), runs: Sequence[str] = (), episodes: int = 500,
     seed: int = 90_000_000, flights: bool = True, trackers: bool = False, generalisation: bool = False,
     out: Path = Path("leaderboard"), fields: dict[str, Any] | None = None, progress: bool = True,
+    engine: AbstractContextManager[Engine] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Fly what is missing, write the leaderboard and print its short form; returns its data.
 
-    Arguments as in `agents.cli.Leaderboard`, fields as keywords of all scenarios.
+    Arguments as in `agents.cli.Leaderboard`, fields as keywords of all scenarios, engine as of
+    `agents.main_job.compare`.
 
     Raises:
         ValueError: unknown environment or policy, too few episodes, a negative seed, a field that is not the user's;
@@ -75,7 +79,8 @@ def leaderboard(
     make_folder(out)
     begin = time.perf_counter()
     cells = [[Cell(table.environment, table.scenario, one, episodes, seed) for one in table.field] for table in tables]
-    flown = fly_cells([cell for row in cells for cell in row], out, progress)
+    with engine or nullcontext(here) as fly_by:
+        flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
     command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, fields or {})
     about = _about(episodes, seed, fields or {}) | {"command": command, "cells": dict(flown.states)}
     data: dict[str, Any] = {"about": about, "sections": {}}

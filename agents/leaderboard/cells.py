@@ -86,9 +86,7 @@ class Cell:
     @property
     def flight(self) -> Flight:
         """What has to be flown for it."""
-        return Flight(
-            self.title, self.scenario, lambda: self.contestant.make(self.scenario), self.episodes, self.seed
-        )
+        return Flight(self.title, self.scenario, lambda: self.contestant.make(self.scenario), self.episodes, self.seed)
 
     def file(self, out: Path) -> Path:
         """Where it is kept."""
