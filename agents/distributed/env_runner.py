@@ -4,6 +4,8 @@ RLlib's own runner adds every observation of every sub-environment to an episode
 costs one call of the network and one of the environment, and episodes are cut from finished arrays at the end.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 from typing import Any
@@ -40,11 +42,12 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
 
     def make_env(self) -> None:
         """Make the vector environment in ``self.env``; on one core, for the others have their own runners."""
-        fields = dict(self.config.env_config)
-        self._first_seed = int(fields.pop("first_seed", self.config.seed or 0))
+        config: Any = self.config
+        fields = dict(config.env_config)
+        self._first_seed = int(fields.pop("first_seed", config.seed or 0))
         with_truth = fields.pop("truth", False)
-        name = str(self.config.env).removeprefix("passive_env:")
-        width = self.config.num_envs_per_env_runner
+        name = str(config.env).removeprefix("passive_env:")
+        width = config.num_envs_per_env_runner
         self.env: Any = PassiveVectorEnv(name, num_envs=width, autoreset_mode="disabled", threads=1, **fields)
         self._truth = self.env.scenario.make_truth_observation() if with_truth else None
         self.env.single_observation_space = observation_space(self.env, self._truth)
@@ -59,7 +62,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         """Fly whole episodes of all sub-environments, as often as it takes for so many steps or episodes, once if both
         are None.
         """
-        explore = self.config.explore if explore is None else explore
+        explore = bool(self.config.explore) if explore is None else explore
         length = self.env.scenario.steps
         wanted = max(num_episodes or 0, -(-(num_timesteps or 0) // length), 1)
         with self.metrics.log_time(SAMPLE_TIMER):
@@ -94,7 +97,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
 
         Steps of all runners are counted in rollouts of them all, so no two share an episode.
         """
-        steps, runners = self.num_env_steps_sampled_lifetime, max(self.config.num_env_runners, 1)
+        steps, runners = self.num_env_steps_sampled_lifetime, max(self.config.num_env_runners or 0, 1)
         self._begun_at, self._again = steps, self._again + 1 if steps == self._begun_at else 0
         place = self._again * runners + max((self.worker_index or 1) - 1, 0)
         return self._first_seed + steps + place * self.num_envs
@@ -145,6 +148,6 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         self.metrics.log_value(FINAL_ERROR, float(info["range_error_m"].mean()), window=1)
 
 
-def _unbounded(space: spaces.Space) -> spaces.Space:
+def _unbounded(space: Any) -> Any:
     """The same Box without bounds: drawn actions may lie outside."""
-    return spaces.Box(-np.inf, np.inf, space.shape, space.dtype) if isinstance(space, spaces.Box) else space
+    return spaces.Box(-np.inf, np.inf, space.shape, np.float32) if isinstance(space, spaces.Box) else space

@@ -1,5 +1,7 @@
 """A policy of Stable-Baselines3 as a module of RLlib: either trains the same network, and both leave the same file."""
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 from typing import Any
@@ -33,7 +35,8 @@ class PolicyModule(TorchRLModule, ValueFunctionAPI):
         self.policy.load_state_dict(settings["weights"])
         if isinstance(self.action_space, spaces.MultiDiscrete):
             choices = [int(n) for n in self.action_space.nvec]
-            self.action_dist_cls = TorchMultiCategorical.get_partial_dist_cls(input_lens=choices)
+            scores: Any = TorchMultiCategorical
+            self.action_dist_cls = scores.get_partial_dist_cls(input_lens=choices)
 
     def _forward(self, batch: dict[str, Any], **_: Any) -> dict[str, Any]:
         """Means and logarithms of standard deviations [e, 2 a] of numbers, or scores of all choices [e, c]."""

@@ -5,6 +5,8 @@ folder takes this one, without Ray. Before every rollout the learner is seeded f
 runners, so a run that was killed and resumed ends with the model of one that was not.
 """
 
+# pyright: reportMissingImports=false
+
 from __future__ import annotations
 
 import os
@@ -15,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from ray.rllib.algorithms.ppo import PPO, PPOConfig
+from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, EPISODE_RETURN_MEAN, NUM_ENV_STEPS_SAMPLED_LIFETIME
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -74,7 +76,7 @@ def train_on_ray(run: Run, address: str | None = None, resume: bool = False, pro
         clock = Clock(run.folder)
         env = training_env(run)
         model = new_model(run, env) if begun is None else load_model(begun / MODEL, run.algo, env=env)
-        algorithm = configuration(run, model).build_algo()
+        algorithm: Any = configuration(run, model).build_algo()
         try:
             if begun is None:
                 write_json(run.folder / CONFIG, run.to_dict())
@@ -130,7 +132,7 @@ def configuration(run: Run, model: BaseAlgorithm) -> PPOConfig:
     )
 
 
-def _learn(run: Run, algorithm: PPO, model: BaseAlgorithm, clock: Clock, progress: bool) -> None:
+def _learn(run: Run, algorithm: Any, model: BaseAlgorithm, clock: Clock, progress: bool) -> None:
     """Train until all steps are flown; the model has the weights then."""
     every = run.preset.get("checkpoint_rollouts", 20) * rollout_steps(run)
     logger = configure(str(run.folder / "tensorboard" / "log_0"), ["tensorboard"])
@@ -162,18 +164,18 @@ def reseed(seed: int) -> None:
     random.seed(seed)
 
 
-def steps_flown(algorithm: PPO) -> int:
+def steps_flown(algorithm: Any) -> int:
     """Steps that all runners have flown in this training."""
     return int(algorithm.metrics.peek((ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME), default=0))
 
 
-def _update(model: BaseAlgorithm, algorithm: PPO, steps: int) -> None:
+def _update(model: BaseAlgorithm, algorithm: Any, steps: int) -> None:
     """Give the model what has been learned."""
     take_weights(model, algorithm.learner_group.get_weights()[DEFAULT_MODULE_ID])
     model.num_timesteps = steps
 
 
-def save_checkpoint(folder: Path, algorithm: PPO, model: BaseAlgorithm, steps: int) -> Path:
+def save_checkpoint(folder: Path, algorithm: Any, model: BaseAlgorithm, steps: int) -> Path:
     """Save a checkpoint whole or not at all, then remove the ones before."""
     older = _checkpoints(folder)
     neighbour, final = folder / f".{CHECKPOINT}{steps}.{os.getpid()}.tmp", folder / f"{CHECKPOINT}{steps}"
@@ -199,7 +201,7 @@ def _steps(path: Path) -> int:
     return int(text) if text.isdigit() else -1
 
 
-def _restore(algorithm: PPO, checkpoint: Path) -> None:
+def _restore(algorithm: Any, checkpoint: Path) -> None:
     """Go on from a checkpoint.
 
     Raises:
