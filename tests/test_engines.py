@@ -4,8 +4,8 @@ import socket
 import sys
 import threading
 
-import numpy as np
 import pytest
+from records import same_record
 
 from agents import evaluation
 from agents.cli import main
@@ -18,13 +18,6 @@ from passive_env.catalogue import make_scenario
 from trackers.compiled import Blocks, single_thread
 
 SHORT = {"steps": 4}
-
-
-def same_record(a, b):
-    """Whether all that was measured is the same, bit for bit; times are not."""
-    names = [name for name, value in vars(a).items() if isinstance(value, np.ndarray)]
-    assert {"range_error_m", "range_crlb_m", "nees", "turns", "lost"} <= set(names)
-    return all(np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in names)
 
 
 # --------------------------------------------------------------------------------------------------- blocks, engines
