@@ -1,6 +1,6 @@
 """On Ray: a local cluster of two processes flies what this process flies; what RLlib trains can be flown without it.
 
-Workers take this module's policies by its name.
+The cluster's workers find this module, whose policies they fly, on the path that they are started with.
 """
 
 import copy
@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import socket
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,10 @@ def address():
     """A cluster of two nodes on this machine, one process at a time on each."""
     from ray.cluster_utils import Cluster
 
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    nodes.add_node(num_cpus=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+        nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        nodes.add_node(num_cpus=1)
     yield nodes.address
     nodes.shutdown()
 
