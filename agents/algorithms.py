@@ -50,6 +50,10 @@ class Algorithm(NamedTuple):
             return self._network_refusal(preset)
         return None
 
+    def refusal_by_rllib(self) -> str | None:
+        """Why RLlib cannot train it; None if it can."""
+        return None if self.learner is PPO else "is none that --engine rllib trains: take ppo or ppo_scratch"
+
     def _network_refusal(self, preset: dict[str, Any]) -> str | None:
         if preset["network"] != NETWORK:
             return f"knows no network {preset['network']!r}: its preset must say {NETWORK!r}, or leave it out"

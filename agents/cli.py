@@ -47,6 +47,12 @@ class Train:
     """Scenario keywords, in training and evaluation: NAME=VALUE …, such as steps=40 tracker=rp_ekf_adaptive."""
     flights: str = HELD_OUT
     """Recorded flights of the final evaluation: a CSV file, or 'held-out' for the test part of the shipped ones."""
+    engine: Literal["sb3", "rllib"] = "sb3"
+    """What trains: Stable-Baselines3 in this process, or RLlib's PPO with processes that fly (extra `ray`)."""
+    runners: int | None = None
+    """With --engine rllib: how many processes fly; default 2."""
+    address: str | None = None
+    """With --engine rllib: a running Ray cluster, HOST:PORT or auto; default one on this machine, for this run."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,13 @@ class Evaluate:
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
     """Folder for evaluation.json, .csv, .md and pictures."""
+    engine: Literal["local", "ray"] = "local"
+    """Where episodes are flown: in this process, or in blocks by the workers of Ray (extra `ray`); results are the
+    same."""
+    workers: int | None = None
+    """With --engine ray: how many blocks are flown at once; default all cores."""
+    address: str | None = None
+    """With --engine ray: a running cluster, HOST:PORT or auto; default one on this machine, for this command."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +139,13 @@ class Leaderboard:
     """Scenario keywords of all environments named: NAME=VALUE …"""
     out: Path = Path("leaderboard")
     """Folder of the results and of the cells kept."""
+    engine: Literal["local", "ray"] = "local"
+    """Where episodes are flown: in this process, or in blocks by the workers of Ray (extra `ray`); results are the
+    same."""
+    workers: int | None = None
+    """With --engine ray: how many blocks are flown at once; default all cores."""
+    address: str | None = None
+    """With --engine ray: a running cluster, HOST:PORT or auto; default one on this machine, for this command."""
 
 
 @dataclass(frozen=True)
@@ -253,18 +273,37 @@ def _train(c: Train) -> None:
 
     train_and_compare(
         c.env, c.algo, c.timesteps, c.seed, c.envs, c.device, c.out, c.resume, c.episodes, c.flights,
-        parse_fields(c.fields),
+        parse_fields(c.fields), _runners(c), c.address,
     )  # fmt: skip
 
 
+def _runners(c: Train) -> int:
+    """Processes that fly for RLlib; 0 for Stable-Baselines3.
+
+    Raises:
+        ValueError: not a positive number of them, or what only RLlib takes.
+    """
+    if c.engine == "sb3":
+        for flag, value in (("--runners", c.runners), ("--address", c.address)):
+            if value is not None:
+                raise ValueError(f"{flag} {value}: is for --engine rllib only")
+        return 0
+    runners = 2 if c.runners is None else c.runners
+    if runners < 1:
+        raise ValueError(f"--runners {runners}: must be at least 1")
+    return runners
+
+
 def _evaluate(c: Evaluate) -> None:
+    from agents.distributed import engine_named
     from agents.main_job import compare
 
-    compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields))
+    engine = engine_named(c.engine, c.workers, c.address)
+    compare(c.env, c.policies, c.trackers, c.episodes, c.seed, c.flights, c.out, parse_fields(c.fields), engine)
 
 
 def _replay(c: Replay) -> None:
-    from agents.main_job import replay
+    from agents.replay_job import replay
 
     fields = parse_fields(c.fields)
     for path in replay(c.env, c.policies, c.seed, c.out, c.gif, c.mp4, c.flights, fields):
@@ -272,11 +311,12 @@ def _replay(c: Replay) -> None:
 
 
 def _leaderboard(c: Leaderboard) -> None:
+    from agents.distributed import engine_named
     from agents.leaderboard import leaderboard
 
     leaderboard(
         c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.confirm, c.out,
-        parse_fields(c.fields),
+        parse_fields(c.fields), engine=engine_named(c.engine, c.workers, c.address),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ for all; what differs is only where the platforms went. Ratios of means come wit
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -251,20 +251,34 @@ def fly(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any =
         seed: of the first episode.
         progress: a tqdm bar to advance by episodes, if any.
     """
+    blocks = []
+    for first, count in blocks_of(episodes, seed):
+        blocks.append(fly_block(scenario, policy, count, first))
+        if progress is not None:
+            progress.update(count)
+    return joined(blocks, scenario)
+
+
+def blocks_of(episodes: int, seed: int) -> list[tuple[int, int]]:
+    """First seed and number of episodes of every block: the same cuts wherever the blocks are flown."""
     if episodes < 1:
         raise ValueError(f"episodes = {episodes}: must be at least 1")
-    blocks = [
-        _fly_block(scenario, policy, min(BLOCK, episodes - at), seed + at, progress) for at in range(0, episodes, BLOCK)
-    ]
+    return [(seed + at, min(BLOCK, episodes - at)) for at in range(0, episodes, BLOCK)]
+
+
+def joined(blocks: Sequence[dict[str, Any]], scenario: Any) -> Record:
+    """The record of all blocks of a flight, in the order of their seeds."""
     merged = {
         name: np.concatenate([block[name] for block in blocks]) for name in blocks[0] if name not in ("seconds", *ALIKE)
     }
+    decisions = len(merged["lost"]) * scenario.steps
     seconds = sum(block["seconds"] for block in blocks)
     alike = {name: blocks[0][name] for name in ALIKE if name in blocks[0]}
-    return Record(**merged, decision_time_us=1e6 * seconds / (episodes * scenario.steps), **alike)
+    return Record(**merged, decision_time_us=1e6 * seconds / decisions, **alike)
 
 
-def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress: Any) -> dict[str, Any]:
+def fly_block(scenario: Any, policy: Policy, episodes: int, seed: int) -> dict[str, Any]:
+    """A record's figures of one block of episodes, and the seconds that the policy took."""
     env = PassiveVectorEnv(scenario, num_envs=episodes, autoreset_mode="disabled")
     observation, info = env.reset(seed=seed)
     log, turns, levels = [_instant(env.world, info, scenario.score)], [_turn(info)], [_level(info)]
@@ -282,8 +296,6 @@ def _fly_block(scenario: Any, policy: Policy, episodes: int, seed: int, progress
         log.append(_instant(env.world, info, scenario.score))
         turns.append(_turn(info))
         levels.append(_level(info))
-    if progress is not None:
-        progress.update(episodes)
     instants = _Instant(*(np.stack(column, axis=1) for column in zip(*log, strict=True)))
     special = _turns(turns) | _levels(levels, scenario)
     return _block(instants, env, info) | special | {"seconds": seconds}
@@ -402,16 +414,44 @@ def _show(policy: Policy, world: World) -> None:
         seer.see(world)
 
 
+class Flight(NamedTuple):
+    """A policy to be flown through episodes.
+
+    Attributes:
+        title: for people.
+        scenario, episodes, seed: as of `fly`.
+        make: makes the policy, when its turn has come.
+    """
+
+    title: str
+    scenario: Any
+    make: Callable[[], Policy]
+    episodes: int
+    seed: int
+
+
+Engine = Callable[[Mapping[str, Flight], Any], Iterator[tuple[str, Record]]]
+"""Flies flights by name and yields their names and records as they are finished, in any order; advances a bar."""
+
+
+def here(flights: Mapping[str, Flight], bar: Any) -> Iterator[tuple[str, Record]]:
+    """The engine that flies in this process, one flight after the other."""
+    for name, flight in flights.items():
+        bar.set_description(flight.title)
+        yield name, fly(flight.scenario, flight.make(), flight.episodes, flight.seed, bar)
+
+
 def fly_all(
-    scenario: Any, policies: Mapping[str, Policy], episodes: int, seed: int, progress: bool = True
-) -> dict[str, Record]:
+    scenario: Any, policies: Mapping[str, Policy], episodes: int, seed: int, progress: bool = True,
+    engine: Engine = here,
+) -> dict[str, Record]:  # fmt: skip
     """Records of several policies on the same tapes, with a progress bar."""
+    flights = {
+        name: Flight(name, scenario, lambda policy=policy: policy, episodes, seed) for name, policy in policies.items()
+    }
     with tqdm(total=episodes * len(policies), unit="episode", disable=not progress, leave=False) as bar:
-        records = {}
-        for name, policy in policies.items():
-            bar.set_description(name)
-            records[name] = fly(scenario, policy, episodes, seed, bar)
-    return records
+        records = dict(engine(flights, bar))
+    return {name: records[name] for name in policies}
 
 
 def summarize(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import fly_all, summarize, unique_names
+from agents.distributed.cluster import ray_module
+from agents.evaluation import Engine, fly_all, here, summarize, unique_names
 from agents.files import make_folder
 from agents.learned import is_trained, open_policy
 from agents.page import fragment
@@ -19,27 +21,34 @@ from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 HELD_OUT = "held-out"
 LEARNED = "learned"
-"""Name of policies that were trained, in tables; in replays another one of the pretrained policy."""
+"""Name of policies that were trained, in tables; in replays the pretrained policy's."""
 FINAL_SEED = 30_000_000
 """Seed of the first episode of final evaluations."""
 
 
 def train_and_compare(
     env: str, algo: str, timesteps: int | None, seed: int, envs: int | None, device: str, out: Path | None,
-    resume: bool, episodes: int, flights: str, fields: dict[str, Any],
+    resume: bool, episodes: int, flights: str, fields: dict[str, Any], runners: int = 0, address: str | None = None,
 ) -> Path:  # fmt: skip
-    """The main job; returns the run folder. Arguments as in `agents.cli.Train`; fields as keywords of the scenario."""
+    """The main job; returns the run folder.
+
+    Arguments as in `agents.cli.Train`; fields as keywords of the scenario, runners 0 for Stable-Baselines3.
+    """
     from agents.training import plan, train
 
     name = scenario_name(env)
-    _check_numbers(episodes, seed)
+    check_numbers(episodes, seed)
     if seed >= 2**32:
         raise ValueError(f"--seed {seed}: must lie below 2**32")
     flown_by(name, flights, fields)  # a bad file must fail before the training, not after it
     folder = out or _free_folder(Path("runs") / f"{name}-{algo}-s{seed}", resume)
-    run = plan(name, folder, algo, seed, device, timesteps, envs, fields)
+    run = plan(name, folder, algo, seed, device, timesteps, envs, fields, runners)
     begin = time.perf_counter()
-    train(run, resume)
+    if runners:
+        train_on_ray = ray_module("agents.distributed.training").train_on_ray
+        train_on_ray(run, address, resume)
+    else:
+        train(run, resume)
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
     policies = (*_standard_policies(name, fields), str(folder))
     flown = [
@@ -73,19 +82,20 @@ def _trained(run: Any, episodes: int, flights: str) -> Settings:
 
 def compare(
     env: str, policies: Sequence[str] | None, trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
-    out: Path, fields: dict[str, Any],
+    out: Path, fields: dict[str, Any], engine: AbstractContextManager[Engine] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Evaluate policies (crossed with trackers, if any are named), write the files and print the table.
 
-    Arguments as in `agents.cli.Evaluate`, fields as keywords of the scenario; returns the summary.
+    Arguments as in `agents.cli.Evaluate`, fields as keywords of the scenario, engine what flies, once it is entered
+    (None: this process); returns the summary.
     """
     name = scenario_name(env)
-    _check_numbers(episodes, seed)
+    check_numbers(episodes, seed)
     if policies is None:
-        policies = [*_standard_policies(name, fields), *_pretrained(name, fields)]
+        policies = [*_standard_policies(name, fields), *fitting_pretrained(name, fields)]
     if not policies:
         raise ValueError("no policies to compare: name some after --policies")
-    flown = _compared(name, policies, trackers, episodes, seed, flights, out, fields)
+    flown = _compared(name, policies, trackers, episodes, seed, flights, out, fields, engine=engine)
     summaries = {each.summary["tracker"]: each.summary for each in flown}
     preface = ""
     if len(flown) > 1:
@@ -106,22 +116,23 @@ def compare(
 
 def _compared(
     name: str, policies: Sequence[str], trackers: Sequence[str], episodes: int, seed: int, flights: str | None,
-    out: Path, fields: dict[str, Any], focus: str = "",
+    out: Path, fields: dict[str, Any], focus: str = "", engine: AbstractContextManager[Engine] | None = None,
 ) -> list[Comparison]:  # fmt: skip
     """Fly policies with every tracker, write the files and print the tables; the policy in focus leads a report."""
     base = make_scenario(name, fields) if flights is None else flown_by(name, flights, fields)
     scenarios = {tracker: base.replace(tracker=tracker) for tracker in trackers} or {"": base}
-    teams = {key: _make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
+    teams = {key: make_policies(policies, name, scenario) for key, scenario in scenarios.items()}
     make_folder(out)
     flown = []
-    for tracker, scenario in scenarios.items():
-        records = fly_all(scenario, teams[tracker], episodes, seed)
-        summary = summarize(environment_id(name), seed, records)
-        summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights, "fields": fields}
-        folder = out / tracker if len(scenarios) > 1 else out
-        write_evaluation(folder, summary, records, scenario)
-        print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
-        flown.append(comparison(_heading(scenario, len(scenarios) > 1), summary, records, scenario, focus))
+    with engine or nullcontext(here) as fly_by:
+        for tracker, scenario in scenarios.items():
+            records = fly_all(scenario, teams[tracker], episodes, seed, engine=fly_by)
+            summary = summarize(environment_id(name), seed, records)
+            summary |= {"tracker": scenario.tracker, "course": scenario.course, "flights": flights, "fields": fields}
+            folder = out / tracker if len(scenarios) > 1 else out
+            write_evaluation(folder, summary, records, scenario)
+            print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
+            flown.append(comparison(_heading(scenario, len(scenarios) > 1), summary, records, scenario, focus))
     return flown
 
 
@@ -130,48 +141,6 @@ def _heading(scenario: Any, crossed: bool) -> str:
     if crossed:
         return f"Tracker {scenario.tracker}"
     return {"random": "Drawn courses", "flights": "Recorded flights"}.get(scenario.course, f"Course {scenario.course}")
-
-
-def replay(
-    env: str, policies: Sequence[str] | None, seed: int, out: Path, gif: Path | None, mp4: Path | None,
-    flights: str | None, fields: dict[str, Any],
-) -> list[Path]:  # fmt: skip
-    """Fly policies through one episode and write its page and animations; returns the files written.
-
-    Arguments as in `agents.cli.Replay`, fields as keywords of the scenario.
-    """
-    from agents.animation import check_animation, write_animation
-    from agents.replay import plotly_script, write_replay
-    from agents.replay_record import fly_once, record
-
-    name = scenario_name(env)
-    _check_numbers(1, seed)
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"--out {out}: must be an HTML file, such as replay.html")
-    animations = [path for path in (gif, mp4) if path is not None]
-    for path, suffix in ((gif, ".gif"), (mp4, ".mp4")):
-        if path is not None and path.suffix.lower() != suffix:
-            raise ValueError(f"--{suffix[1:]} {path}: must end in {suffix}")
-    for path in animations:
-        check_animation(path)
-    plotly_script()
-    scenario = make_scenario(name, fields) if flights is None else flown_by(name, flights, fields)
-    team = _make_policies(_shown(policies, name, fields), name, scenario)
-    flown = {label: fly_once(scenario, policy, seed) for label, policy in team.items()}
-    records = {label: record(scenario, flight) for label, flight in flown.items()}
-    written = [write_replay(out, environment_id(name), seed, scenario.replay_axis, records)]
-    return written + [write_animation(path, scenario, flown) for path in animations]
-
-
-def _shown(policies: Sequence[str] | None, name: str, fields: dict[str, Any]) -> list[str]:
-    """Policies of a replay; "learned" is the pretrained one, unless a run of that name is there."""
-    if policies is not None:
-        if not policies:
-            raise ValueError("no policies to show: name some after --policies")
-        return [PRETRAINED if each == LEARNED and not is_trained(each) else each for each in policies]
-    known = policy_names(make_scenario(name, fields))
-    baseline = next(each for each in ("paper", "fixed", "straight", *known) if each in known)
-    return [baseline, *(["rule"] if "rule" in known else []), *_pretrained(name, fields)]
 
 
 def flown_by(name: str, flights: str, fields: dict[str, Any]) -> Any:
@@ -192,20 +161,22 @@ def _standard_policies(name: str, fields: dict[str, Any]) -> list[str]:
     return [known for known in policy_names(scenario) if not sees_world(make_policy(known, scenario))]
 
 
-def _pretrained(name: str, fields: dict[str, Any]) -> list[str]:
+def fitting_pretrained(name: str, fields: dict[str, Any]) -> list[str]:
     """The pretrained policy's name, where there is one and it can fly."""
     fits = environment_id(name) in pretrained_ids() and sees_alike(name, make_scenario(name, fields))
     return [PRETRAINED] if fits else []
 
 
-def _check_numbers(episodes: int, seed: int) -> None:
+def check_numbers(episodes: int, seed: int) -> None:
+    """Refuse no episodes and negative seeds."""
     if episodes < 1:
         raise ValueError(f"--episodes {episodes}: must be at least 1")
     if seed < 0:
         raise ValueError(f"--seed {seed}: must not be negative")
 
 
-def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
+def make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
+    """Policies by the names they have in tables; see `named_policy`."""
     known = [*policy_names(scenario), PRETRAINED]
     labels = unique_names([name if name in known else LEARNED for name in names])
     return {label: named_policy(name, scenario_name_, scenario) for label, name in zip(labels, names, strict=True)}

@@ -16,6 +16,15 @@ from passive_env.team_vector_env import TeamVectorEnv
 from passive_env.vector_env import PassiveVectorEnv
 
 
+def observation_space(env: PassiveVectorEnv, truth: Any = None) -> Any:
+    """Space of a sub-environment's observations, with a `passive_env.truth.TruthObservation` behind if there is one."""
+    known: Any = env.single_observation_space
+    if truth is None:
+        return known
+    more = np.full(len(truth.fields), LIMIT, dtype=np.float32)
+    return spaces.Box(np.concatenate([known.low, -more]), np.concatenate([known.high, more]))
+
+
 class Sb3VecEnv(VecEnv):
     """A `PassiveVectorEnv` or `TeamVectorEnv` with Stable-Baselines3's interface.
 
@@ -42,7 +51,7 @@ class Sb3VecEnv(VecEnv):
         self.truth = env.scenario.make_truth_observation() if truth else None
         self.bootstrap_at_horizon = bootstrap_at_horizon
         self.render_mode = env.render_mode
-        super().__init__(env.num_envs, self._space(env.single_observation_space), env.single_action_space)
+        super().__init__(env.num_envs, observation_space(env, self.truth), env.single_action_space)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=int)
         self._blank: list[dict[str, Any]] = [{} for _ in range(env.num_envs)]
@@ -69,12 +78,6 @@ class Sb3VecEnv(VecEnv):
         done = terminated | truncated
         infos = self._finish(done, truncated & ~terminated, info) if done.any() else self._blank
         return self._with_truth(observation), reward.astype(np.float32), done, infos
-
-    def _space(self, known: Any) -> spaces.Box:
-        if self.truth is None:
-            return known
-        more = np.full(len(self.truth.fields), LIMIT, dtype=np.float32)
-        return spaces.Box(np.concatenate([known.low, -more]), np.concatenate([known.high, more]))
 
     def _with_truth(self, observation: np.ndarray) -> np.ndarray:
         return observation if self.truth is None else np.hstack([observation, self.truth(self.env.world)])

@@ -42,7 +42,10 @@ EVALUATION_EPISODES = 256
 REFERENCES = ("paper", "fixed", "open", "rule")
 """Policies a model in training is compared with, where the scenario offers them."""
 
-SAME = ("environment", "interface", "observation_digest", "algo", "seed", "timesteps", "envs", "fields", "preset")
+SAME = (
+    "environment", "interface", "observation_digest", "algo", "seed", "timesteps", "envs", "runners", "fields",
+    "preset",
+)  # fmt: skip
 """Entries of a run's configuration that must be as they were for it to be resumed."""
 
 EVALUATION_SEED = 2_000_000_000
@@ -59,6 +62,7 @@ class Run:
         fields: scenario fields given by the user; they hold in training and evaluation.
         algo, seed, device, timesteps, envs: as on the command line.
         preset: the rest (`agents.presets`).
+        runners: processes in which RLlib flies; 0 trains with Stable-Baselines3, in this process.
     Raises:
         ValueError: unknown algorithm, or one that cannot be trained so.
     """
@@ -72,11 +76,19 @@ class Run:
     timesteps: int
     envs: int
     preset: dict[str, Any]
+    runners: int = 0
 
     def __post_init__(self) -> None:
-        refusal = find_algorithm(self.algo).refusal(self.preset, self.training_scenario.actions)
+        algorithm = find_algorithm(self.algo)
+        refusal = algorithm.refusal(self.preset, self.training_scenario.actions)
+        if refusal is None and self.runners:
+            refusal = algorithm.refusal_by_rllib()
         if refusal is not None:
             raise ValueError(f"--algo {self.algo} {refusal}")
+        if self.runners and self.envs % self.runners:
+            raise ValueError(f"--envs {self.envs}: must be a multiple of --runners {self.runners}")
+        if self.runners and self.device != "cpu":
+            raise ValueError(f"--device {self.device}: --engine rllib learns on the cpu; leave it out")
 
     @property
     def scenario(self) -> Any:
@@ -111,6 +123,8 @@ class Run:
             "envs": self.envs,
             "fields": self.fields,
             "preset": self.preset,
+            "engine": "rllib" if self.runners else "sb3",
+            "runners": self.runners,
             "scenario": self.scenario.to_dict(),
             "versions": versions(),
             "commit": commit(),
@@ -119,7 +133,7 @@ class Run:
 
 def plan(
     scenario_name: str, folder: Path, algo: str = "ppo", seed: int = 0, device: str = "cpu",
-    timesteps: int | None = None, envs: int | None = None, fields: dict[str, Any] | None = None,
+    timesteps: int | None = None, envs: int | None = None, fields: dict[str, Any] | None = None, runners: int = 0,
 ) -> Run:  # fmt: skip
     """Resolve a run: what is not given comes from the preset.
 
@@ -135,7 +149,7 @@ def plan(
         if value < 1:
             raise ValueError(f"--{name} {value}: must be at least 1")
     _check_device(device)
-    return Run(folder, scenario_name, fields or {}, algo, seed, device, **chosen, preset=preset)
+    return Run(folder, scenario_name, fields or {}, algo, seed, device, **chosen, preset=preset, runners=runners)
 
 
 def _check_device(device: str) -> None:
@@ -158,12 +172,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
         FileExistsError: the folder exists and `resume` is False.
         FileNotFoundError, ValueError: nothing to resume, another run's folder, or a damaged checkpoint.
     """
-    if resume:
-        _check_same_run(run)
-    elif run.folder.exists() and any(run.folder.iterdir()):
-        raise FileExistsError(
-            f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it"
-        )
+    check_folder(run, resume)
     torch.set_num_threads(run.preset.get("torch_threads", 1))
     clock = Clock(run.folder)
     env = training_env(run)
@@ -176,10 +185,20 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
             left, callback=Checkpoints(run, clock), log_interval=ALGORITHMS[run.algo].log_interval(run.envs),
             reset_num_timesteps=False, progress_bar=progress, tb_log_name="log",
         )  # fmt: skip
-    save_model(_flown(model), run.folder / MODEL)
+    save_model(flown(model), run.folder / MODEL)
     clock.save()
     env.close()
     return run.folder / MODEL
+
+
+def check_folder(run: Run, resume: bool) -> None:
+    """Refuse a folder that another run has begun in, or, to be resumed, none or another run's; raises as `train`."""
+    if resume:
+        _check_same_run(run)
+    elif run.folder.exists() and any(run.folder.iterdir()):
+        raise FileExistsError(
+            f"{run.folder}: run folder already exists; choose another --out, or add --resume to go on with it"
+        )
 
 
 def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
@@ -203,7 +222,7 @@ def _vector_env(scenario: Any, envs: int, truth: bool) -> Sb3VecEnv:
     return Sb3VecEnv(PassiveVectorEnv(scenario, num_envs=envs, autoreset_mode="same_step"), truth=truth)
 
 
-def _flown(model: Any) -> BaseAlgorithm:
+def flown(model: Any) -> BaseAlgorithm:
     """The model as it is flown: without a critic that sees the truth."""
     return for_flying(model) if sees_truth(model) else model
 
@@ -260,7 +279,7 @@ class Checkpoints(BaseCallback):
         self._run, self._clock = run, clock
         self._every = run.preset.get("checkpoint_rollouts", 20) * rollout_steps(run)
         self._next = 0
-        self._references: dict[str, float] = {}
+        self._yardstick = Yardstick(run)
 
     def _on_training_start(self) -> None:
         self._next = self.num_timesteps
@@ -286,22 +305,28 @@ class Checkpoints(BaseCallback):
             self.logger.record("rollout/final_range_error_m", float(np.mean(final)))
 
     def _evaluate(self) -> None:
-        """Mean final error on fixed tapes, of the kind that counts, and its ratio to the references."""
+        for name, value in self._yardstick.figures(self.model).items():
+            self.logger.record(f"eval/{name}", value)
+
+
+class Yardstick:
+    """Compares a model in training with the references on fixed tapes."""
+
+    def __init__(self, run: Run):
+        self._run = run
+        self._references: dict[str, float] = {}
+
+    def figures(self, model: BaseAlgorithm) -> dict[str, float]:
+        """Mean final error, of the kind that counts, and its ratio to every reference; by name in logs."""
         scenario = self._run.scenario
         if not self._references:
             for name in (known for known in REFERENCES if known in policy_names(scenario)):
                 record = fly(scenario, make_policy(name, scenario), EVALUATION_EPISODES, EVALUATION_SEED)
                 self._references[name] = float(record.final.mean())
-        record = fly(
-            scenario,
-            ModelPolicy(_flown(self.model), self._run.training_scenario.make_simulation(), shown=scenario),
-            EVALUATION_EPISODES,
-            EVALUATION_SEED,
-        )
-        error = float(record.final.mean())
-        self.logger.record(f"eval/final_{scenario.score}_error_m", error)
-        for name, reference in self._references.items():
-            self.logger.record(f"eval/ratio_to_{name}", error / reference)
+        policy = ModelPolicy(flown(model), self._run.training_scenario.make_simulation(), shown=scenario)
+        error = float(fly(scenario, policy, EVALUATION_EPISODES, EVALUATION_SEED).final.mean())
+        ratios = {f"ratio_to_{name}": error / reference for name, reference in self._references.items()}
+        return {f"final_{scenario.score}_error_m": error} | ratios
 
 
 def reseed(model: BaseAlgorithm, seed: int) -> None:
@@ -379,15 +404,19 @@ def begin_with(model: BaseAlgorithm, action: Sequence[float]) -> None:
         bias.copy_(torch.as_tensor(np.repeat(action, each)))
 
 
+FINAL_RATE = 0.02
+"""Share of the learning rate that is left in the end."""
+
+
 class LinearDecay:
-    """Learning rate that falls linearly to 2 % of its start."""
+    """Learning rate that falls linearly to `FINAL_RATE` of its start."""
 
     def __init__(self, start: float):
         self.start = start
 
     def __call__(self, progress_remaining: float) -> float:
         """Rate when this share of the training is left."""
-        return self.start * max(progress_remaining, 0.02)
+        return self.start * max(progress_remaining, FINAL_RATE)
 
 
 def _load_checkpoint(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> BaseAlgorithm:
@@ -399,7 +428,7 @@ def _load_checkpoint(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> BaseAlgorithm:
 
 
 def _check_same_run(run: Run) -> None:
-    begun = read_config(run.folder)
+    begun = {"runners": 0} | read_config(run.folder)
     now = run.to_dict()
     for name in SAME:
         if begun.get(name) != now[name]:

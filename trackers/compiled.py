@@ -228,6 +228,17 @@ def _run_share(function: Callable[..., T], rows: list[tuple[Any, ...]]) -> list[
         _SHARING.inside = False
 
 
+@contextlib.contextmanager
+def single_thread() -> Iterator[None]:
+    """Let every `Blocks.map` in the calling thread run on that thread, block by block, for a while."""
+    before = getattr(_SHARING, "inside", False)
+    _SHARING.inside = True
+    try:
+        yield
+    finally:
+        _SHARING.inside = before
+
+
 def available_cores() -> int:
     """Number of processor cores this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -7,11 +7,13 @@ import datetime
 import platform
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from agents.evaluation import Engine, here
 from agents.files import make_folder
-from agents.leaderboard.cells import Cell, code_digest, fly_cells
+from agents.leaderboard.cells import Cell, Flown, code_digest, fly_cells
 from agents.leaderboard.contestants import (
     KINDS,
     Contestant,
@@ -60,10 +62,12 @@ def leaderboard(
     envs: Sequence[str] = (), policies: Sequence[str] = (), runs: Sequence[str] = (), episodes: int = 500,
     seed: int = 90_000_000, flights: bool = True, trackers: bool = False, generalisation: bool = False,
     confirm: int = 0, out: Path = Path("leaderboard"), fields: dict[str, Any] | None = None, progress: bool = True,
+    engine: AbstractContextManager[Engine] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Fly what is missing, write the leaderboard and print its short form; returns its data.
 
-    Arguments as in `agents.cli.Leaderboard`, fields as keywords of all scenarios.
+    Arguments as in `agents.cli.Leaderboard`, fields as keywords of all scenarios, engine as of
+    `agents.main_job.compare`.
 
     Raises:
         ValueError: unknown environment or policy, too few episodes, a negative seed, a field that is not the user's;
@@ -74,47 +78,50 @@ def leaderboard(
     tables = _plan(environments, policies, runs, flights, trackers, generalisation, fields or {})
     make_folder(out)
     begin = time.perf_counter()
-    cells = [[Cell(table.environment, table.scenario, one, episodes, seed) for one in table.field] for table in tables]
-    flown = fly_cells([cell for row in cells for cell in row], out, progress)
+    with engine or nullcontext(here) as fly_by:
+        entries, flown = _standings(tables, episodes, seed, out, progress, fly_by)
+        if confirm:
+            judged = [pair for pair in zip(tables, entries, strict=True) if pair[0].section == "leaderboard"]
+            _confirm(judged, confirm, seed + episodes, out, progress, fly_by)
     command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, confirm, fields or {})
     about = _about(episodes, seed, fields or {}) | {
         "command": command, "cells": dict(flown.states), "confirm": confirm,
     }  # fmt: skip
     data: dict[str, Any] = {"about": about, "sections": {}}
-    standings = []
-    for table, row in zip(tables, cells, strict=True):
-        outcomes = {cell.contestant.name: flown.outcomes[cell.digest] for cell in row}
-        entry = {"title": table.title, "unfit": table.unfit} | standing(table.scenario, table.field, outcomes, seed)
+    for table, entry in zip(tables, entries, strict=True):
         data["sections"].setdefault(table.section, {}).setdefault(table.environment, []).append(entry)
-        standings.append(entry)
-    if confirm:
-        _confirm(
-            [pair for pair in zip(tables, standings, strict=True) if pair[0].section == "leaderboard"],
-            confirm,
-            seed + episodes,
-            out,
-            progress,
-        )
     data["about"]["seconds"] = time.perf_counter() - begin
     write_leaderboard(out, data)
     print(f"{short_form(data)}\n\n{out}; cells: {flown}")
     return data
 
 
+def _standings(
+    tables: Sequence[Table], episodes: int, seed: int, out: Path, progress: bool, fly_by: Engine
+) -> tuple[list[dict[str, Any]], Flown]:
+    """The standing of every table, and what became of its cells."""
+    cells = [[Cell(table.environment, table.scenario, one, episodes, seed) for one in table.field] for table in tables]
+    flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
+    entries = []
+    for table, row in zip(tables, cells, strict=True):
+        found = standing(table.scenario, table.field, flown.by_policy(row), seed)
+        entries.append({"title": table.title, "unfit": table.unfit} | found)
+    return entries, flown
+
+
 def _confirm(
-    compared: Sequence[tuple[Table, dict[str, Any]]], episodes: int, seed: int, out: Path, progress: bool
+    judged: Sequence[tuple[Table, dict[str, Any]]], episodes: int, seed: int, out: Path, progress: bool, fly_by: Engine
 ) -> None:
     """Replace verdicts by those of fresh episodes: whoever was best by luck of the first ones is so no longer."""
-    fields = [finalists(table.field, entry["best"]) for table, entry in compared]
+    fields = [finalists(table.field, entry["best"]) for table, entry in judged]
     cells = [
         [Cell(table.environment, table.scenario, one, episodes, seed) for one in field]
-        for (table, _), field in zip(compared, fields, strict=True)
+        for (table, _), field in zip(judged, fields, strict=True)
     ]
-    flown = fly_cells([cell for row in cells for cell in row], out, progress)
-    for (_, entry), field, row in zip(compared, fields, cells, strict=True):
-        outcomes = {cell.contestant.name: flown.outcomes[cell.digest] for cell in row}
+    flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
+    for (_, entry), field, row in zip(judged, fields, cells, strict=True):
         if any(one.kind == "learned" for one in field):
-            entry["verdicts"] = confirmed(field, outcomes, entry["best"])
+            entry["verdicts"] = confirmed(field, flown.by_policy(row), entry["best"])
 
 
 def _environments(envs: Sequence[str]) -> list[str]:

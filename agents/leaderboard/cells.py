@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from agents.evaluation import Outcomes, fly
+from agents.evaluation import Engine, Flight, Outcomes, here
 from agents.files import atomic_write
 from agents.leaderboard.contestants import KINDS, Contestant
 from agents.provenance import versions
@@ -82,6 +82,11 @@ class Cell:
     def title(self) -> str:
         """For people."""
         return f"{self.environment.split('/')[-1]} {self.contestant.name}"
+
+    @property
+    def flight(self) -> Flight:
+        """What has to be flown for it."""
+        return Flight(self.title, self.scenario, lambda: self.contestant.make(self.scenario), self.episodes, self.seed)
 
     def file(self, out: Path) -> Path:
         """Where it is kept."""
@@ -186,13 +191,17 @@ class Flown(NamedTuple):
     states: Counter[str]
     differing: set[str]
 
+    def by_policy(self, cells: Sequence[Cell]) -> dict[str, Outcomes]:
+        """Outcomes of one table's cells by the names of policies."""
+        return {cell.contestant.name: self.outcomes[cell.digest] for cell in cells}
+
     def __str__(self) -> str:
         others = f"flown anew, {', '.join(sorted(self.differing))} being others than in those kept so far"
         words = {"kept": "kept", "new": "flown", "changed": others, "damaged": "flown anew, their files being damaged"}
         return ", ".join(f"{self.states[state]} {text}" for state, text in words.items() if self.states[state])
 
 
-def fly_cells(cells: Sequence[Cell], out: Path, progress: bool = True) -> Flown:
+def fly_cells(cells: Sequence[Cell], out: Path, progress: bool = True, engine: Engine = here) -> Flown:
     """Outcomes of cells: of kept ones from their files, of the others flown now, the quick ones first."""
     flown, missing = Flown({}, Counter(), set()), []
     for cell in {cell.digest: cell for cell in cells}.values():
@@ -202,11 +211,10 @@ def fly_cells(cells: Sequence[Cell], out: Path, progress: bool = True) -> Flown:
             missing.append(cell)
     missing.sort(key=lambda cell: (KINDS.index(cell.contestant.kind), cell.scenario.steps))
     with tqdm(total=sum(cell.episodes for cell in missing), unit="episode", disable=not progress) as bar:
-        for cell in missing:
-            bar.set_description(cell.title)
-            record = fly(cell.scenario, cell.contestant.make(cell.scenario), cell.episodes, cell.seed, bar)
-            flown.outcomes[cell.digest] = record.outcomes
-            save(cell, record.outcomes, out)
+        named = {cell.digest: cell for cell in missing}
+        for digest, record in engine({digest: cell.flight for digest, cell in named.items()}, bar):
+            flown.outcomes[digest] = record.outcomes
+            save(named[digest], record.outcomes, out)
     return flown
 
 
