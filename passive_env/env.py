@@ -77,14 +77,18 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin an episode; returns observation and info."""
+        info = self.begin(seed)
+        return self._observation(), info
+
+    def begin(self, seed: int | None = None) -> dict[str, Any]:
+        """Begin an episode without observing it; returns info."""
         super().reset(seed=seed)
         self._world = self.simulation.begin([self.np_random])
         if self._viewer is not None:
             self._viewer.clear()
         if self.render_mode == "human":
             self.render()
-        zeros = dict.fromkeys(self.scenario.reward_weights, 0.0)
-        return self._observation(), self._info(zeros)
+        return self._info(dict.fromkeys(self.scenario.reward_weights, 0.0))
 
     def step(self, action: Any):
         """Fly one step; returns observation, reward, terminated, truncated, info.
@@ -93,6 +97,11 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
             ValueError: action of the wrong shape or with values that are not finite.
             gymnasium.error.ResetNeeded: before the first reset or after the episode's end.
         """
+        reward, truncated, info = self.fly(action)
+        return self._observation(), reward, False, truncated, info
+
+    def fly(self, action: Any) -> tuple[float, bool, dict[str, Any]]:
+        """Fly one step without observing it; returns reward, truncated and info. Raises as `step` does."""
         world = self.world
         values = self.simulation.actions.decode(action, None)
         if world.step[0] >= self.scenario.steps:
@@ -102,7 +111,7 @@ class PassiveEnv(gym.Env[np.ndarray, Any]):
         if self.render_mode == "human":
             self.render()
         values = {name: float(term[0]) for name, term in terms.items()}
-        return self._observation(), float(reward[0]), False, truncated, self._info(values)
+        return float(reward[0]), truncated, self._info(values)
 
     def render(self):
         """Picture of the moment: an RGB array, or a window for mode "human"."""

@@ -10,7 +10,6 @@ from gymnasium import spaces
 
 from passive_env.mobile_simulation import MobileBelief
 from passive_env.observations import LIMIT, Field, clip_value
-from passive_env.placement import seen_from_entry
 from passive_env.placement_observation import kind_of, task_fields, task_numbers
 from trackers.compiled import helper, kernel
 
@@ -163,6 +162,33 @@ def _fields(ranging: Any):
         yield Field(f"sensor{i}.available", "1", "1 if it measured at the last scan")
 
 
+@kernel("(),(t),(n,x6),(a),(n,k),(n,p3),(n),(n),(),(),(d)->(n,d)", "fFFFIFBBbfgG")
+def _observe_own(time_left, task, platforms, last_action, columns, measurement, measured, ranging, installed,
+                 entry_distance, like, out):  # fmt: skip
+    for s in range(platforms.shape[0]):
+        seen = out[s]
+        seen[:] = 0.0
+        seen[0] = time_left
+        for k in range(task.shape[0]):
+            seen[1 + k] = task[k]
+        i = 1 + task.shape[0]
+        if installed:
+            along, left = entry_distance - platforms[s, 0], -platforms[s, 1]
+            level = max(math.hypot(along, left), 1.0)
+            seen[i], seen[i + 1] = along / level, left / level
+            seen[i + 2], seen[i + 3] = (level - 2e5) / 5e4, platforms[s, 2] / 1e4
+        i += 4
+        for k in range(columns.shape[1]):
+            seen[i + k] = last_action[columns[s, k]]
+        i += columns.shape[1]
+        if measured[s]:
+            r, azimuth, elevation = measurement[s, 0], measurement[s, 1], measurement[s, 2]
+            seen[i], seen[i + 1] = 1.0, math.log(max(r, 1.0) / 5e4) if ranging[s] else 0.0
+            seen[i + 2], seen[i + 3], seen[i + 4] = -math.cos(azimuth), -math.sin(azimuth), elevation
+        for k in range(seen.shape[0]):
+            seen[k] = clip_value(seen[k])
+
+
 class OwnMobileObservation:
     """Every carrier's own place and what its own sensor measured at the last scan; nothing of the track or of others.
 
@@ -194,28 +220,14 @@ class OwnMobileObservation:
         self.fields = tuple(_own_fields())
         self.space = spaces.Box(-LIMIT, LIMIT, (len(self.fields),), np.float32)
         self._columns, self._ranging, self._steps = columns, ranging, steps
+        self._like = np.empty(len(self.fields), dtype=np.float32)
 
     def __call__(self, belief: MobileBelief) -> Any:
         """Observations [e, n, d] float32 inside the space."""
-        shared = np.hstack([(belief.steps_left / self._steps)[:, None], task_numbers(belief.task)])
-        numbers = [
-            np.broadcast_to(shared[:, None], (*belief.measured.shape, shared.shape[1])),
-            self._place(belief), belief.last_action[:, self._columns], self._measurement(belief),
-        ]  # fmt: skip
-        return np.clip(np.concatenate(numbers, axis=-1), -LIMIT, LIMIT).astype(np.float32)
-
-    def _place(self, belief: MobileBelief) -> np.ndarray:
-        azimuth, distance, height = seen_from_entry(belief.platforms[..., :3], belief.task.entry_distance_m[:, None])
-        place = np.stack([np.cos(azimuth), np.sin(azimuth), (distance - 2e5) / 5e4, height / 1e4], axis=-1)
-        return np.where(belief.installed[:, None, None], place, 0.0)
-
-    def _measurement(self, belief: MobileBelief) -> np.ndarray:
-        (r, azimuth, elevation), told = np.moveaxis(belief.measurement, -1, 0), belief.measured
-        log_range = np.log(np.where(told & self._ranging, np.maximum(r, 1.0), 5e4) / 5e4)
-        return np.stack(
-            [
-                told, log_range, np.where(told, -np.cos(azimuth), 0.0), np.where(told, -np.sin(azimuth), 0.0), elevation
-            ], axis=-1,
+        return _observe_own(
+            belief.steps_left / self._steps, task_numbers(belief.task), belief.platforms, belief.last_action,
+            self._columns, belief.measurement, belief.measured, self._ranging, belief.installed,
+            belief.task.entry_distance_m, self._like,
         )  # fmt: skip
 
 

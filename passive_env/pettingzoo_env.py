@@ -67,7 +67,6 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         self.action_spaces = {agent: copy.deepcopy(self.team.action_space) for agent in self.possible_agents}
         self.state_space = self._env.observation_space
         self._shape = self.team.steering.columns.shape
-        self._state: np.ndarray | None = None
 
     @property
     def observation_fields(self) -> tuple[Field, ...]:
@@ -93,7 +92,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin an episode; returns observations and infos by agent."""
-        self._state, info = self._env.reset(seed=seed, options=options)
+        info = self._env.begin(seed)
         if self._idle is not None:
             self._idle.begin(self._env.world)
         self.agents = list(self.possible_agents)
@@ -108,7 +107,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         """
         if not self.agents:
             raise gym.error.ResetNeeded("no agent is in an episode: call reset() before step()")
-        self._state, reward, _, truncated, info = self._env.step(self._joined(actions))
+        reward, truncated, info = self._env.fly(self._joined(actions))
         agents = self.agents
         self.agents = [] if truncated else list(agents)
         return (
@@ -118,9 +117,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     def state(self) -> np.ndarray:
         """The environment's own observation [d] float32: what an operator sees of all."""
-        if self._state is None:
-            raise gym.error.ResetNeeded("call reset() before state()")
-        return self._state.copy()
+        return self._env.simulation.observe(self._env.world)[0]
 
     def render(self):
         """Picture of the moment, as of `passive_env.env.PassiveEnv`."""
@@ -131,10 +128,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
         self._env.close()
 
     def _observations(self) -> dict[str, np.ndarray]:
-        assert self._state is not None
-        belief = self._env.belief() if self.team.needs_belief else None
-        seen = self.team.observe(belief, self._state[None])[0]
-        return dict(zip(self.possible_agents, seen, strict=True))
+        return dict(zip(self.possible_agents, self.team.observe(self._env.belief())[0], strict=True))
 
     def _rewards(self, reward: float) -> dict[str, float]:
         if self._idle is None:

@@ -100,6 +100,9 @@ class TeamVectorEnv(VectorEnv):
             info |= final
         return seen, earned, np.zeros(self.num_envs, dtype=bool), done, info
 
+    def render(self) -> None:
+        """Batches of agents make no pictures."""
+
     def close_extras(self, **kwargs: Any) -> None:
         """Close the episodes' environment."""
         self.episodes.close()
