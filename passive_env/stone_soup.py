@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ START = datetime(2000, 1, 1)
 MAPPING = {4: (0, 2), 6: (0, 2, 4)}
 """Places of the positions in states of so many numbers."""
 
+MODEL = "measurement_model"
+"""Its name in the metadata of a station's states."""
+
 GENERATORS = ("gospa", "ospa", "siap")
 
 
@@ -33,7 +37,8 @@ class Episode(NamedTuple):
     Attributes:
         truths: a `GroundTruthPath` per target.
         platforms: a `GroundTruthPath` per station; the metadata of its states have the measurement model and the
-            number of slots of its scans.
+            number of slots of its scans. Of a passive radar stations are the transmitters, and its receiver, which
+            has no model of its own, comes last.
         detections: per instant a set of `TrueDetection` and `Clutter`; their metadata say station and slot.
         tracks: a `Track` per target, of `GaussianState`.
     """
@@ -77,9 +82,9 @@ def from_stone_soup(episodes: Sequence[Episode]) -> Recording:
     if len(set(shapes)) > 1:
         other = next(e for e, shape in enumerate(shapes) if shape != shapes[0])
         raise ValueError(f"episode {other} has arrays of shapes {shapes[other]}, episode 0 of {shapes[0]}: must agree")
-    platforms, truth, mean, cov, *returns = (np.stack(column) for column in zip(*parts, strict=True))
+    platforms, truth, mean, cov, transmitters, *returns = (np.stack(column) for column in zip(*parts, strict=True))
     seconds = np.array([(time - times[0]).total_seconds() for time in times])
-    return Recording(seconds, platforms, truth, mean, cov, Returns(*returns))
+    return Recording(seconds, platforms, truth, mean, cov, Returns(*returns), transmitters)
 
 
 def metrics(episode: Episode, cutoff_m: float = 10e3, order: float = 2.0) -> dict[str, dict[str, Any]]:
@@ -164,13 +169,14 @@ def _soup(module: str) -> Any:
 
 def _episode(recording: Recording, e: int, times: list[datetime]) -> Episode:
     returns = Returns(*(part[e] for part in recording.returns))
-    models = _models(recording.platforms[e], returns.std)
+    stations, receivers = _stations(recording, e)
+    models = _models(stations, returns.std, receivers)
     truths = [_path(times, states) for states in np.swapaxes(recording.truth[e], 0, 1)]
     slots = returns.valid.shape[-1]
     platforms = [
-        _path(times, states, [{"measurement_model": row[s], "slots": slots} for row in models])
-        for s, states in enumerate(np.swapaxes(recording.platforms[e], 0, 1))
-    ]
+        _path(times, states, [{MODEL: row[s], "slots": slots} for row in models])
+        for s, states in enumerate(np.swapaxes(stations, 0, 1))
+    ] + [_path(times, states) for states in np.swapaxes(receivers, 0, 1)]
     detections = [_detections(returns, k, time, models[k], truths) for k, time in enumerate(times)]
     targets = range(recording.mean.shape[2])
     tracks = [_track(times, recording.mean[e, :, j], recording.cov[e, :, j]) for j in targets]
@@ -202,20 +208,54 @@ def _track(times: list[datetime], mean: np.ndarray, cov: np.ndarray) -> Any:
     return _soup("types.track").Track([state(x, P, timestamp=time) for x, P, time in ordered])
 
 
-def _models(platforms: np.ndarray, std: np.ndarray) -> list[list[Any]]:
-    """Measurement models of every instant and station, of platforms [k + 1, s, d] and std [k + 1, s, c]."""
-    size, components = platforms.shape[-1], std.shape[-1]
-    soup = _soup("models.measurement.nonlinear")
-    make = soup.Cartesian2DToBearing if components == 1 else soup.CartesianToElevationBearing
-    variance = std[..., ::-1] ** 2  # elevation stands before azimuth
-    return [
-        [
-            make(
-                ndim_state=size, mapping=MAPPING[size], noise_covar=np.diag(variance[k, s]),
-                translation_offset=platforms[k, s, : size // 2, None],
-            ) for s in range(platforms.shape[1])
-        ] for k in range(len(platforms))
-    ]  # fmt: skip
+def _stations(recording: Recording, e: int) -> tuple[np.ndarray, np.ndarray]:
+    """States [k + 1, s, d] of what has a measurement model, and [k + 1, 1 or 0, d] of a passive radar's receiver."""
+    platforms, sites = recording.platforms[e], recording.transmitters[e]
+    if not len(sites):
+        return platforms, platforms[:, :0]
+    standing = np.concatenate([sites, np.zeros_like(sites)], axis=1)
+    return np.broadcast_to(standing, (len(platforms), *standing.shape)), platforms
+
+
+def _models(stations: np.ndarray, std: np.ndarray, receivers: np.ndarray) -> list[list[Any]]:
+    """Measurement models of every instant and station, of states [k + 1, s, d] and std [k + 1, s, c]."""
+    size, components, soup = stations.shape[-1], std.shape[-1], _soup("models.measurement.nonlinear")
+    angles = soup.Cartesian2DToBearing if components == 1 else soup.CartesianToElevationBearing
+    variance, places = std[..., ::-1] ** 2, stations[..., : size // 2, None]  # elevation stands before azimuth
+
+    def model(k: int, s: int) -> Any:
+        known = {"ndim_state": size, "mapping": MAPPING[size], "noise_covar": np.diag(variance[k, s])}
+        if not receivers.size:
+            return angles(**known, translation_offset=places[k, s])
+        return range_sum_model()(**known, transmitter=places[k, s], receiver=receivers[k, 0, : size // 2, None])
+
+    return [[model(k, s) for s in range(stations.shape[1])] for k in range(len(stations))]
+
+
+@cache
+def range_sum_model() -> Any:
+    """The class of Stone Soup's measurement model of a bistatic range sum |p − R| + |p − T|, which it lacks itself.
+
+    Its properties are those of `NonLinearGaussianMeasurement`, and ``transmitter`` and ``receiver`` [d, 1] m.
+    """
+    soup, base, array = _soup("models.measurement.nonlinear"), _soup("base"), _soup("types.array")
+
+    class RangeSum(soup.NonLinearGaussianMeasurement):
+        transmitter: Any = base.Property(doc="Position of the transmitter, a column [m].")
+        receiver: Any = base.Property(doc="Position of the receiver, a column [m].")
+
+        @property
+        def ndim_meas(self) -> int:
+            return 1
+
+        def function(self, state: Any, noise: Any = False, **_: Any) -> Any:
+            """Range sums [1, n] m of states [d, n]; noise: False, True or added as it is."""
+            places = np.asarray(state.state_vector, dtype=float)[list(self.mapping)]
+            sums = sum(np.linalg.norm(places - np.asarray(end), axis=0) for end in (self.transmitter, self.receiver))
+            added = self.rvs(num_samples=places.shape[1]) if noise is True else 0 if noise is False else noise
+            return array.StateVectors([sums]) + added
+
+    return RangeSum
 
 
 def _detections(returns: Returns, k: int, time: datetime, models: list[Any], truths: list[Any]) -> set[Any]:
@@ -223,7 +263,8 @@ def _detections(returns: Returns, k: int, time: datetime, models: list[Any], tru
     soup, found = _soup("types.detection"), set()
     for s, b in np.argwhere(returns.valid[k]).tolist():
         known: dict[str, Any] = {
-            "state_vector": _angles(returns.values[k, s, b]), "timestamp": time, "measurement_model": models[s],
+            "state_vector": _vector(returns.values[k, s, b], models[s]), "timestamp": time,
+            "measurement_model": models[s],
             "metadata": {"station": s, "slot": b},
         }  # fmt: skip
         target = int(returns.origin[k, s, b])
@@ -231,12 +272,13 @@ def _detections(returns: Returns, k: int, time: datetime, models: list[Any], tru
     return found
 
 
-def _angles(values: np.ndarray) -> Any:
-    """A bearing [1], or azimuth and elevation [2], as Stone Soup's state vector."""
-    soup = _soup("types.angle")
+def _vector(values: np.ndarray, model: Any) -> Any:
+    """What was measured [c] as Stone Soup's state vector: bearing; elevation and bearing; or range sum."""
+    soup, vector = _soup("types.angle"), _soup("types.array").StateVector
+    if isinstance(model, range_sum_model()):
+        return vector([values[0]])
     kinds = (soup.Bearing,) if len(values) == 1 else (soup.Elevation, soup.Bearing)
-    typed = [[_exactly(kind, value)] for kind, value in zip(kinds, values[::-1], strict=True)]
-    return _soup("types.array").StateVector(typed)
+    return vector([[_exactly(kind, value)] for kind, value in zip(kinds, values[::-1], strict=True)])
 
 
 def _exactly(kind: Any, value: float) -> Any:
@@ -250,7 +292,7 @@ def _exactly(kind: Any, value: float) -> Any:
 
 
 def _arrays(episode: Episode, where: str, times: list[datetime]) -> list[np.ndarray]:
-    """Platforms, truth, means, covariances, then the parts of `Returns`, of one episode."""
+    """Platforms, truth, means, covariances, transmitters, then the parts of `Returns`, of one episode."""
     kinds = {"platform": episode.platforms, "truth": episode.truths, "track": episode.tracks}
     states = {
         kind: [_states(path, f"{where}: {kind} {i}", times) for i, path in enumerate(paths)]
@@ -260,7 +302,11 @@ def _arrays(episode: Episode, where: str, times: list[datetime]) -> list[np.ndar
     back = np.argsort(_order(mean.shape[-1]))
     cov = np.array([[np.asarray(state.covar, dtype=float) for state in path] for path in states["track"]])
     cov = np.swapaxes(cov, 0, 1)[..., back, :][..., back]
-    return [platforms, truth, mean, cov, *_gathered(episode, where, times, states["platform"])]
+    stations = [path for path in states["platform"] if MODEL in path[0].metadata]
+    receiver, half = len(stations) < len(states["platform"]), platforms.shape[-1] // 2
+    transmitters = platforms[0, : len(stations), :half] if receiver else np.empty((0, 0))
+    platforms = platforms[:, len(stations) :] if receiver else platforms
+    return [platforms, truth, mean, cov, transmitters, *_gathered(episode, where, times, stations)]
 
 
 def _states(path: Any, where: str, times: list[datetime]) -> list[Any]:
@@ -279,12 +325,12 @@ def _vectors(paths: list[list[Any]]) -> np.ndarray:
     return np.swapaxes(vectors, 0, 1)[..., np.argsort(_order(vectors.shape[-1]))]
 
 
-def _gathered(episode: Episode, where: str, times: list[datetime], platforms: list[list[Any]]) -> Returns:
+def _gathered(episode: Episode, where: str, times: list[datetime], stations: list[list[Any]]) -> Returns:
     """Returns of an episode; of detections whose target is not known the origin is −1."""
     if len(episode.detections) != len(times):
         raise ValueError(f"{where} has detections of {len(episode.detections)} instants, must be {len(times)}")
-    told = [[state.metadata for state in path] for path in platforms]
-    variance = np.array([[np.diagonal(each["measurement_model"].noise_covar) for each in row] for row in told])
+    told = [[state.metadata for state in path] for path in stations]
+    variance = np.array([[np.diagonal(each[MODEL].noise_covar) for each in row] for row in told])
     std = np.sqrt(np.swapaxes(variance, 0, 1)[..., ::-1].astype(float))
     shape = (*std.shape[:2], told[0][0]["slots"])
     values, valid, origin = np.zeros((*shape, std.shape[-1])), np.zeros(shape, dtype=bool), np.full(shape, -1)
