@@ -38,7 +38,7 @@ REPORT = "report.html"
 CHART_IN = (5.2, 4.2)
 """Size of a diagram over time; letters of this size can be read on a phone."""
 CARDS = 6
-"""Policies whose maps are open."""
+"""Policies that are drawn; the others' maps are folded."""
 VERDICT_WORDS = {"ahead": "ahead of it", "level": "level with it", "behind": "behind it"}
 EVERYTHING = "All figures, and ratios to every baseline"
 NOTHING = "–"
@@ -129,7 +129,7 @@ def comparison(
     order = sorted(summary["policies"], key=lambda name: summary["policies"][name][metric]["mean"])
     focus = focus or order[0]
     base = next((name for name in order if name in summary["ratios"] and name != focus), "")
-    shown = {name: records[name] for name in (focus, *(each for each in order if each != focus))}
+    shown = {name: records[name] for name in _in_order(order, focus, next(iter(summary["ratios"])))}
     charts = [
         *([_ratio_picture(summary, order, metric, base)] if base else []),
         _error_over_time(shown, scenario, summary["score"]),
@@ -145,6 +145,15 @@ def comparison(
         heading, summary, scenario, "\n".join(body), _finding(summary, metric, base, focus),
         _comparison_tiles(summary, metric, base, focus),
     )  # fmt: skip
+
+
+def _in_order(order: Sequence[str], focus: str, reference: str) -> list[str]:
+    """Names in the order of pictures: first the one in focus, then the best; the reference among the first ones."""
+    names = [focus, *(name for name in order if name != focus)]
+    if reference in names[CARDS:]:
+        names.remove(reference)
+        names.insert(CARDS - 1, reference)
+    return names
 
 
 def _ranking_error(summary: Mapping[str, Any], records: Mapping[str, Record], scenario: Any) -> str:
@@ -240,15 +249,17 @@ def _ratio_picture(summary: Mapping[str, Any], order: Sequence[str], metric: str
 
 
 def _error_over_time(records: Mapping[str, Record], scenario: Any, score: str) -> str:
-    times = steps_axis(scenario)
-    errors = {name: record.error_m.mean(0) for name, record in records.items()}
-    bounds = {name: record.bound_m.mean(0) for name, record in records.items()}
+    times, drawn = steps_axis(scenario), list(records.items())[:CARDS]
+    errors = {name: record.error_m.mean(0) for name, record in drawn}
+    bounds = {name: record.bound_m.mean(0) for name, record in drawn}
     figure = pictures.error_over_time(times, errors, bounds, "", score)
-    figure.set_size_inches(CHART_IN[0], max(CHART_IN[1], 0.3 * len(records)))
+    figure.set_size_inches(*CHART_IN)
     ends = "; ".join(f"{name} {metres(error[-1])}" for name, error in errors.items())
-    alt = f"Mean {score} error of every policy over {times[-1]:g} s, logarithmic. At the end: {ends}."
-    drawn = _picture(figure, alt, "Averaged over targets and episodes; dashed: the bound of the geometry flown.")
-    return f"<h3>Error over time</h3>{drawn}"
+    alt = f"Mean {score} error over {times[-1]:g} s, logarithmic. At the end: {ends}."
+    caption = "Averaged over targets and episodes; dashed: the bound of the geometry flown."
+    if len(records) > CARDS:
+        caption += f" All {len(records)} policies: {score}_error_over_time.png beside this page."
+    return f"<h3>Error over time</h3>{_picture(figure, alt, caption)}"
 
 
 def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
@@ -256,7 +267,12 @@ def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
     said = f"<p>The first episode (seed {seed:,}): the same targets and the same noise for every policy.</p>"
     if isinstance(scenario, RadarPlacement):
         worlds: dict[str, Any] = {name: record.paths for name, record in records.items()}
-        return said + _cards(placement_cards(worlds, scenario), "sensors and what the last one would promise elsewhere")
+        key = (
+            "<p>Dots: sensors by number, with the position error promised at the last scan. Colours: what would be "
+            "promised if the last sensor stood there, the others as they are. Cross: where the paper puts it.</p>"
+        )
+        cards = _cards(placement_cards(worlds, scenario), "sensors, and what the last one would promise elsewhere")
+        return said + key + cards
     paths, times = flown_paths(records, scenario), steps_axis(scenario)
     key = _picture(
         pictures.geometry_legend(next(iter(paths.values()))), "Key to the signs of the maps below.", kind="key"
