@@ -136,7 +136,7 @@ def comparison(
     ]
     body = [
         _figures(summary, order, metric, base, focus),
-        _details(EVERYTHING, fragment(as_markdown(summary), name=EVERYTHING)),
+        _details(EVERYTHING, f'<div class="unbroken">{fragment(as_markdown(summary), name=EVERYTHING)}</div>'),
         f'<div class="pair">{"".join(f"<div>{chart}</div>" for chart in charts)}</div>',
         "<h3>Geometry</h3>",
         _geometry(shown, scenario, summary["seed"]),
@@ -346,11 +346,11 @@ def _configuration(asked: Settings, comparisons: Sequence[Comparison]) -> str:
         parts.append(_details("Preset of the algorithm", _table(["setting", "value"], preset, "Preset")))
     parts.append(
         f"<h3>Scenario</h3><p>What differs from the environment's defaults{order}:</p>"
-        + _table(head, changed, "Changed fields")
+        + _table(head, changed, "Changed fields", "fields")
         if changed
         else "<h3>Scenario</h3><p>All fields are at the environment's defaults.</p>"
     )
-    return "".join(parts) + _details(f"All {len(fields)} fields", _table(head, fields, "All fields"))
+    return "".join(parts) + _details(f"All {len(fields)} fields", _table(head, fields, "All fields", "fields"))
 
 
 def _fields(comparisons: Sequence[Comparison]) -> list[list[str]]:
