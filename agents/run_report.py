@@ -26,7 +26,17 @@ from agents.maneuvers import maneuvers
 from agents.page import fragment, shell
 from agents.placement_pictures import placement_cards
 from agents.provenance import commit, processor_name, versions
-from agents.report import as_markdown, courses, flown_paths, has_courses, headline, metrics_of, percent, verdict
+from agents.report import (
+    as_markdown,
+    courses,
+    flown_paths,
+    has_courses,
+    headline,
+    metrics_of,
+    percent,
+    ratio_words,
+    verdict,
+)
 from agents.svg import as_svg
 from passive_env.artists import metres
 from passive_env.catalogue import make_scenario
@@ -128,7 +138,7 @@ def comparison(
     metric = _ranking_error(summary, records, scenario)
     order = sorted(summary["policies"], key=lambda name: summary["policies"][name][metric]["mean"])
     focus = focus or order[0]
-    base = next((name for name in order if name in summary["ratios"] and name != focus), "")
+    base = next((name for name in order if _can_be_base(name, summary, metric) and name != focus), "")
     shown = {name: records[name] for name in _in_order(order, focus, next(iter(summary["ratios"])))}
     charts = [
         *([_ratio_picture(summary, order, metric, base)] if base else []),
@@ -145,6 +155,11 @@ def comparison(
         heading, summary, scenario, "\n".join(body), _finding(summary, metric, base, focus),
         _comparison_tiles(summary, metric, base, focus),
     )  # fmt: skip
+
+
+def _can_be_base(name: str, summary: Mapping[str, Any], metric: str) -> bool:
+    """Whether it is a baseline with an error that others can be divided by."""
+    return name in summary["ratios"] and summary["policies"][name][metric]["mean"] > 0.0
 
 
 def _in_order(order: Sequence[str], focus: str, reference: str) -> list[str]:
@@ -178,7 +193,7 @@ def _finding(summary: Mapping[str, Any], metric: str, base: str, focus: str) -> 
     judged = verdict(ratio["ci95"])
     rival = "the next baseline" if focus in summary["ratios"] else "the strongest baseline"
     return (
-        f"{said}. That is {_interval(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
+        f"{said}. That is {ratio_words(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
         f'<span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
     )
 
@@ -212,7 +227,7 @@ def _figures(summary: Mapping[str, Any], order: Sequence[str], metric: str, base
         figures = summary["policies"][name]
         cells = [name, _number(figures[metric]["mean"])]
         if base:
-            cells.append("1" if name == base else _interval(summary["ratios"][base][name][metric]))
+            cells.append("1" if name == base else ratio_words(summary["ratios"][base][name][metric]))
         cells += [_number(figures[metric]["p95"]), *(_number(figures[each]["mean"]) for each in others)]
         rows.append([*cells, _number(figures[f"final_{score}_crlb_m"]), percent(figures["lost_share"])])
     unit = ", accelerations in m/s²" if "mean_acceleration_error_m_s2" in metrics else ""
@@ -232,17 +247,14 @@ def _number(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
-def _interval(ratio: Mapping[str, Any]) -> str:
-    low, high = ratio["ci95"]
-    return f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]"
-
-
 def _ratio_picture(summary: Mapping[str, Any], order: Sequence[str], metric: str, base: str) -> str:
     ratios = {name: summary["ratios"][base][name][metric] for name in order if name != base}
-    bars = {name: (ratio["ratio"], *ratio["ci95"]) for name, ratio in ratios.items()}
+    bars = {name: (ratio["ratio"], *ratio["ci95"]) for name, ratio in ratios.items() if ratio["ratio"] > 0.0}
+    if not bars:
+        return ""
     figure = pictures.ratio_chart(bars, "")
     figure.set_size_inches(CHART_IN[0], figure.get_figheight())
-    said = "; ".join(f"{name} {_interval(ratio)}" for name, ratio in ratios.items())
+    said = "; ".join(f"{name} {ratio_words(ratio)}" for name, ratio in ratios.items())
     drawn = _picture(figure, f"Bars: mean error relative to that of {base}, with 95 % intervals. {said}.")
     name = f"{_error_name(metric, summary['score'])}, relative to {base}"
     return f"<h3>{_text(name[0].upper() + name[1:])}</h3>{drawn}"
