@@ -21,7 +21,7 @@ class Train:
     """Train a policy, then compare it with the fixed geometries and rules on simulated courses and held-out flights.
 
     The run folder receives the model, the resolved configuration, checkpoints, TensorBoard logs, evaluation.json, .csv,
-    .md and pictures, and the same for recorded flights under flights/.
+    .md and pictures, the same for recorded flights under flights/, and all of it on one page, report.html.
     """
 
     env: str = "passive/TwoStation-v0"
@@ -57,7 +57,7 @@ class Train:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Compare policies on the same random numbers and write tables and pictures."""
+    """Compare policies on the same random numbers and write tables, pictures and a page of both, report.html."""
 
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
@@ -76,7 +76,7 @@ class Evaluate:
     flights: str | None = None
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
-    """Folder for evaluation.json, .csv, .md and pictures."""
+    """Folder for evaluation.json, .csv, .md, pictures and report.html."""
     engine: Literal["local", "ray"] = "local"
     """Where episodes are flown: in this process, or in blocks by the workers of Ray (extra `ray`); results are the
     same."""

@@ -20,7 +20,7 @@ from passive_env import artists
 from passive_env.palette import BAD, GOOD, GRID, INK, MUTED, curve_color, series_color
 
 DPI = 150
-PANEL_IN, CARD_IN = 4.4, 3.6
+PANEL_IN, CARD_IN = 4.4, 4.2
 """Width and height of one map of `geometry`, and of one that stands alone."""
 DIAGRAM_IN = 1.5
 """Height of the diagram below it."""

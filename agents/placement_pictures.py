@@ -48,7 +48,7 @@ def placement_cards(worlds: Mapping[str, World], scenario: Any) -> dict[str, Fig
     """The same as a figure per policy, all in the same colours; arguments as there."""
     draw, cards = _Drawing(worlds, scenario), {}
     for name in worlds:
-        cards[name], (panel,) = _sheet(1, "")
+        cards[name], (panel,) = _sheet(1, "", beside=0.25, head=0.35)
         _color_bar(cards[name], draw(name, *panel))
     return cards
 
@@ -67,8 +67,9 @@ class _Drawing:
     def __call__(self, name: str, above: Axes, side: Axes) -> Any:
         """Returns what the colour bar is of."""
         world = self._worlds[name]
+        shown = _draw(above, side, world, self._maps[name], self._norm, self._scenario, self._paper)
         above.set_title(f"{name}: {world.metrics.position_crlb_m[0, 0]:.0f} m", loc="left", fontsize=10, color=INK)
-        return _draw(above, side, world, self._maps[name], self._norm, self._scenario, self._paper)
+        return shown
 
 
 def _color_bar(figure: Figure, shown: Any) -> None:
@@ -129,17 +130,18 @@ def _by_azimuth(position: np.ndarray, task: Task) -> np.ndarray:
     return turned
 
 
-def _sheet(count: int, title: str) -> tuple[Figure, list[tuple[Axes, Axes]]]:
-    """A figure with two axes per policy, laid out in inches."""
+def _sheet(count: int, title: str, beside: float = 0.7, head: float = 0.8) -> tuple[Figure, list[tuple[Axes, Axes]]]:
+    """A figure with two axes per policy, laid out in inches: room beside each, and above them all for the title."""
     columns = min(count, PER_ROW)
     rows = math.ceil(count / columns)
-    width, height = 0.8 + columns * (COLUMN_IN + 0.7) + BAR_IN, 0.5 + rows * (MAP_IN + HEIGHTS_IN + 1.6)
+    below = 0.55 + HEIGHTS_IN + 0.75
+    width, height = 0.8 + columns * (COLUMN_IN + beside) + BAR_IN, head + rows * (MAP_IN + below + 0.3) - 0.3
     figure = Figure(figsize=(width, height), dpi=DPI)
     figure.suptitle(title, x=0.02, ha="left", fontsize=12, color=INK)
     panels = []
     for i in range(count):
         row, column = divmod(i, columns)
-        x, top = 0.8 + column * (COLUMN_IN + 0.7), height - 0.8 - row * (MAP_IN + HEIGHTS_IN + 1.6)
+        x, top = 0.8 + column * (COLUMN_IN + beside), height - head - row * (MAP_IN + below + 0.3)
         above = axes_at(figure, x, top - MAP_IN, COLUMN_IN, MAP_IN)
         side = axes_at(figure, x, top - MAP_IN - 0.55 - HEIGHTS_IN, COLUMN_IN, HEIGHTS_IN)
         panels.append((above, side))

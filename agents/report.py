@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -279,10 +280,13 @@ def percent(share: float) -> str:
 
 
 def _ratio_cell(ratios: Mapping[str, Any] | None, metric: str) -> str:
-    if ratios is None:
-        return "1"
-    low, high = ratios[metric]["ci95"]
-    return f"{ratios[metric]['ratio']:.3f} [{low:.3f}, {high:.3f}]"
+    return "1" if ratios is None else ratio_words(ratios[metric])
+
+
+def ratio_words(ratio: Mapping[str, Any]) -> str:
+    """A ratio and its interval; a dash where both means are 0."""
+    low, high = ratio["ci95"]
+    return f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]" if math.isfinite(ratio["ratio"]) else "–"
 
 
 def _difference_cell(ratios: Mapping[str, Any] | None) -> str:

@@ -26,7 +26,17 @@ from agents.maneuvers import maneuvers
 from agents.page import fragment, shell
 from agents.placement_pictures import placement_cards
 from agents.provenance import commit, processor_name, versions
-from agents.report import as_markdown, courses, flown_paths, has_courses, headline, metrics_of, percent, verdict
+from agents.report import (
+    as_markdown,
+    courses,
+    flown_paths,
+    has_courses,
+    headline,
+    metrics_of,
+    percent,
+    ratio_words,
+    verdict,
+)
 from agents.svg import as_svg
 from passive_env.artists import metres
 from passive_env.catalogue import make_scenario
@@ -38,7 +48,7 @@ REPORT = "report.html"
 CHART_IN = (5.2, 4.2)
 """Size of a diagram over time; letters of this size can be read on a phone."""
 CARDS = 6
-"""Policies whose maps are open."""
+"""Policies that are drawn; the others' maps are folded."""
 VERDICT_WORDS = {"ahead": "ahead of it", "level": "level with it", "behind": "behind it"}
 EVERYTHING = "All figures, and ratios to every baseline"
 NOTHING = "–"
@@ -128,15 +138,15 @@ def comparison(
     metric = _ranking_error(summary, records, scenario)
     order = sorted(summary["policies"], key=lambda name: summary["policies"][name][metric]["mean"])
     focus = focus or order[0]
-    base = next((name for name in order if name in summary["ratios"] and name != focus), "")
-    shown = {name: records[name] for name in (focus, *(each for each in order if each != focus))}
+    base = next((name for name in order if _can_be_base(name, summary, metric) and name != focus), "")
+    shown = {name: records[name] for name in _in_order(order, focus, next(iter(summary["ratios"])))}
     charts = [
         *([_ratio_picture(summary, order, metric, base)] if base else []),
         _error_over_time(shown, scenario, summary["score"]),
     ]
     body = [
         _figures(summary, order, metric, base, focus),
-        _details(EVERYTHING, fragment(as_markdown(summary), name=EVERYTHING)),
+        _details(EVERYTHING, f'<div class="unbroken">{fragment(as_markdown(summary), name=EVERYTHING)}</div>'),
         f'<div class="pair">{"".join(f"<div>{chart}</div>" for chart in charts)}</div>',
         "<h3>Geometry</h3>",
         _geometry(shown, scenario, summary["seed"]),
@@ -145,6 +155,20 @@ def comparison(
         heading, summary, scenario, "\n".join(body), _finding(summary, metric, base, focus),
         _comparison_tiles(summary, metric, base, focus),
     )  # fmt: skip
+
+
+def _can_be_base(name: str, summary: Mapping[str, Any], metric: str) -> bool:
+    """Whether it is a baseline with an error that others can be divided by."""
+    return name in summary["ratios"] and summary["policies"][name][metric]["mean"] > 0.0
+
+
+def _in_order(order: Sequence[str], focus: str, reference: str) -> list[str]:
+    """Names in the order of pictures: first the one in focus, then the best; the reference among the first ones."""
+    names = [focus, *(name for name in order if name != focus)]
+    if reference in names[CARDS:]:
+        names.remove(reference)
+        names.insert(CARDS - 1, reference)
+    return names
 
 
 def _ranking_error(summary: Mapping[str, Any], records: Mapping[str, Record], scenario: Any) -> str:
@@ -169,7 +193,7 @@ def _finding(summary: Mapping[str, Any], metric: str, base: str, focus: str) -> 
     judged = verdict(ratio["ci95"])
     rival = "the next baseline" if focus in summary["ratios"] else "the strongest baseline"
     return (
-        f"{said}. That is {_interval(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
+        f"{said}. That is {ratio_words(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
         f'<span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
     )
 
@@ -203,7 +227,7 @@ def _figures(summary: Mapping[str, Any], order: Sequence[str], metric: str, base
         figures = summary["policies"][name]
         cells = [name, _number(figures[metric]["mean"])]
         if base:
-            cells.append("1" if name == base else _interval(summary["ratios"][base][name][metric]))
+            cells.append("1" if name == base else ratio_words(summary["ratios"][base][name][metric]))
         cells += [_number(figures[metric]["p95"]), *(_number(figures[each]["mean"]) for each in others)]
         rows.append([*cells, _number(figures[f"final_{score}_crlb_m"]), percent(figures["lost_share"])])
     unit = ", accelerations in m/s²" if "mean_acceleration_error_m_s2" in metrics else ""
@@ -223,32 +247,31 @@ def _number(value: float) -> str:
     return f"{value:,.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
-def _interval(ratio: Mapping[str, Any]) -> str:
-    low, high = ratio["ci95"]
-    return f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]"
-
-
 def _ratio_picture(summary: Mapping[str, Any], order: Sequence[str], metric: str, base: str) -> str:
     ratios = {name: summary["ratios"][base][name][metric] for name in order if name != base}
-    bars = {name: (ratio["ratio"], *ratio["ci95"]) for name, ratio in ratios.items()}
+    bars = {name: (ratio["ratio"], *ratio["ci95"]) for name, ratio in ratios.items() if ratio["ratio"] > 0.0}
+    if not bars:
+        return ""
     figure = pictures.ratio_chart(bars, "")
     figure.set_size_inches(CHART_IN[0], figure.get_figheight())
-    said = "; ".join(f"{name} {_interval(ratio)}" for name, ratio in ratios.items())
+    said = "; ".join(f"{name} {ratio_words(ratio)}" for name, ratio in ratios.items())
     drawn = _picture(figure, f"Bars: mean error relative to that of {base}, with 95 % intervals. {said}.")
     name = f"{_error_name(metric, summary['score'])}, relative to {base}"
     return f"<h3>{_text(name[0].upper() + name[1:])}</h3>{drawn}"
 
 
 def _error_over_time(records: Mapping[str, Record], scenario: Any, score: str) -> str:
-    times = steps_axis(scenario)
-    errors = {name: record.error_m.mean(0) for name, record in records.items()}
-    bounds = {name: record.bound_m.mean(0) for name, record in records.items()}
+    times, drawn = steps_axis(scenario), list(records.items())[:CARDS]
+    errors = {name: record.error_m.mean(0) for name, record in drawn}
+    bounds = {name: record.bound_m.mean(0) for name, record in drawn}
     figure = pictures.error_over_time(times, errors, bounds, "", score)
-    figure.set_size_inches(CHART_IN[0], max(CHART_IN[1], 0.3 * len(records)))
+    figure.set_size_inches(*CHART_IN)
     ends = "; ".join(f"{name} {metres(error[-1])}" for name, error in errors.items())
-    alt = f"Mean {score} error of every policy over {times[-1]:g} s, logarithmic. At the end: {ends}."
-    drawn = _picture(figure, alt, "Averaged over targets and episodes; dashed: the bound of the geometry flown.")
-    return f"<h3>Error over time</h3>{drawn}"
+    alt = f"Mean {score} error over {times[-1]:g} s, logarithmic. At the end: {ends}."
+    caption = "Averaged over targets and episodes; dashed: the bound of the geometry flown."
+    if len(records) > CARDS:
+        caption += f" All {len(records)} policies: {score}_error_over_time.png beside this page."
+    return f"<h3>Error over time</h3>{_picture(figure, alt, caption)}"
 
 
 def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
@@ -256,7 +279,12 @@ def _geometry(records: Mapping[str, Record], scenario: Any, seed: int) -> str:
     said = f"<p>The first episode (seed {seed:,}): the same targets and the same noise for every policy.</p>"
     if isinstance(scenario, RadarPlacement):
         worlds: dict[str, Any] = {name: record.paths for name, record in records.items()}
-        return said + _cards(placement_cards(worlds, scenario), "sensors and what the last one would promise elsewhere")
+        key = (
+            "<p>Dots: sensors by number, with the position error promised at the last scan. Colours: what would be "
+            "promised if the last sensor stood there, the others as they are. Cross: where the paper puts it.</p>"
+        )
+        cards = _cards(placement_cards(worlds, scenario), "sensors, and what the last one would promise elsewhere")
+        return said + key + cards
     paths, times = flown_paths(records, scenario), steps_axis(scenario)
     key = _picture(
         pictures.geometry_legend(next(iter(paths.values()))), "Key to the signs of the maps below.", kind="key"
@@ -330,11 +358,11 @@ def _configuration(asked: Settings, comparisons: Sequence[Comparison]) -> str:
         parts.append(_details("Preset of the algorithm", _table(["setting", "value"], preset, "Preset")))
     parts.append(
         f"<h3>Scenario</h3><p>What differs from the environment's defaults{order}:</p>"
-        + _table(head, changed, "Changed fields")
+        + _table(head, changed, "Changed fields", "fields")
         if changed
         else "<h3>Scenario</h3><p>All fields are at the environment's defaults.</p>"
     )
-    return "".join(parts) + _details(f"All {len(fields)} fields", _table(head, fields, "All fields"))
+    return "".join(parts) + _details(f"All {len(fields)} fields", _table(head, fields, "All fields", "fields"))
 
 
 def _fields(comparisons: Sequence[Comparison]) -> list[list[str]]:

@@ -40,11 +40,14 @@ def _short(text: str) -> str:
 
 
 def _two_coloured(text: str) -> str:
-    """Colours that differ on a dark page become variables, and a style sheet gives them their values."""
+    """Colours that differ on a dark page become variables, and a style sheet gives them their values.
+
+    Black is what an SVG is filled with where it does not say, so that is a variable too.
+    """
     named = re.sub(r"#[0-9a-fA-F]{6}\b", _variable, text)
     light = "".join(f"{name}:{color};" for color, name in _NAMES.items())
     dark = "".join(f"{_NAMES[color.lower()]}:{other};" for color, other in DARK.items())
-    rules = f"svg{{{light}}}@media(prefers-color-scheme:dark){{svg{{{dark}}}}}"
+    rules = f"svg{{fill:var({_NAMES[BLACK.lower()]});{light}}}@media(prefers-color-scheme:dark){{svg{{{dark}}}}}"
     return named.replace("</style>", rules + "</style>", 1)
 
 

@@ -129,6 +129,17 @@ def test_a_single_policy_is_compared_with_nothing():
     Page(only.body)
 
 
+def test_errors_of_nothing_are_compared_without_dividing_by_them():
+    perfect = made({"paper": record(0.0 * np.ones((8, STEPS + 1)))} | flown())
+    assert "<code>paper</code> has the least mean range error at the end: 0 m" in perfect.finding
+    assert "0.000 [0.000, 0.000] times the error of <code>rule</code>" in perfect.finding
+    other = made({"paper": record(0.0 * np.ones((8, STEPS + 1)))} | flown(), focus="rule")
+    assert "times" not in other.finding
+    for each in (perfect, other):
+        cells = [cell for rows in Page(each.body).tables for row in rows for cell in row]
+        assert not [cell for cell in cells if "nan" in cell]
+
+
 def test_learning_curves_tell_first_and_last_values(page):
     (alt,) = (image["alt"] for image in page.all("img") if image["alt"].startswith("Learning curves"))
     assert "final error / rule's: 1.5 at 100 steps, 0.5 at 300" in alt
