@@ -269,6 +269,8 @@ const onSight = new IntersectionObserver((entries) => {
     entry.target.drawing.seen = entry.isIntersecting;
     refresh(entry.target.drawing);
   }
+  // The page answers once everything in sight is drawn for the first time.
+  document.documentElement.dataset.readyMs ??= Math.round(performance.now());
 }, { rootMargin: "100px" });
 
 function addView(parent, policy, view, v) {
@@ -669,5 +671,3 @@ addTogether();
 wireControls();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
 seek(0);
-// The page answers from here on: after the first maps are painted.
-requestAnimationFrame(() => setTimeout(() => { document.documentElement.dataset.readyMs = Math.round(performance.now()); }));
