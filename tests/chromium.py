@@ -53,9 +53,7 @@ class Page:
         touch: whether to pose as a phone.
     """
 
-    def __init__(
-        self, driver: Any, path: Path, size: tuple[int, int] = DESKTOP, ready: str = "true", touch: bool = False
-    ):
+    def __init__(self, driver: Any, path: Path, ready: str, size: tuple[int, int] = DESKTOP, touch: bool = False):
         self.driver = driver
         driver.get("about:blank")
         driver.get_log("browser")  # what an earlier page said

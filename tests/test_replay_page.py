@@ -1,4 +1,4 @@
-"""The replay's page in a real Chromium: it loads, plays, scrubs, zooms, switches layers; mouse, keyboard, touch."""
+"""The replay's page in a real Chromium: loads, plays, scrubs, zooms, switches layers, by mouse, keyboard and touch."""
 
 import base64
 import io
@@ -52,7 +52,7 @@ def traces(page: Page, plot: int = 0) -> list[dict[str, Any]]:
 
 
 def hovers(page: Page) -> list[str]:
-    return [text for trace in traces(page) for text in trace["hover"]]
+    return [text for trace in traces(page) for text in trace["hover"] if text]
 
 
 # ------------------------------------------------------------------------------------------------ loading
@@ -113,7 +113,7 @@ def test_every_environment_is_drawn(chromium, tmp_path, name):
 def test_the_map_holds_the_recorded_places(page, two_station):
     layers = two_station[1]["paper"].views[0].layers
     page.run("seek(7)")
-    shown = {text.split("<br>")[0][3:-4]: text for text in hovers(page)}
+    shown = {text.split("<br>")[0][3:-4]: text for text in hovers(page) if "off the map" not in text}
     for j in range(3):
         x, y = layers["estimates"][7, j, 0]
         assert f"at {x:.2f}, {y:.2f}" in shown[f"estimate {j + 1}"]
@@ -181,11 +181,13 @@ def test_plays_to_the_end_and_pauses(page):
 
 def test_speed_is_steps_per_second(page):
     """At speed 1 eight steps take a second: time of the page's own clock between two instants shown."""
-    script = """const done = arguments[arguments.length - 1], seen = [], seekBefore = seek;
-        window.frameTimes = seen; play(true);
-        (function watch(time) {
-            seen.push([time, state.k]); state.playing ? requestAnimationFrame(watch) : done(seen);
-        })(performance.now());"""
+    script = """const done = arguments[arguments.length - 1], seen = [];
+        const watch = (time) => {
+            seen.push([time, state.k]);
+            if (state.playing) requestAnimationFrame(watch); else done(seen);
+        };
+        play(true);
+        watch(performance.now());"""
     page.driver.set_script_timeout(60)
     page.run("setSpeed(1)")
     seen = page.driver.execute_async_script(script)
@@ -229,10 +231,11 @@ def test_a_click_on_a_diagram_goes_to_that_time(page):
 
 def test_keys(page):
     right, left, end, home = "\ue014", "\ue012", "\ue010", "\ue011"
-    for key, k in ((right, 1), (right, 2), (left, 1), (end, STEPS), (home, 0), ("\ue008" + right, 10)):
-        page.press(*key)
-        page.press("\ue000")  # releases Shift
+    for key, k in ((right, 1), (right, 2), (left, 1), (end, STEPS), (home, 0)):
+        page.press(key)
         assert now(page) == k
+    page.find("body").send_keys("\ue008" + right)  # with Shift
+    assert now(page) == 10
     page.press(">")
     assert page.value("document.getElementById('speed').value") == "2"
     page.press("<", "<")
@@ -332,7 +335,7 @@ def assert_not_blank(page: Page) -> None:
     background = pixels[-1, 0]
     drawn = (pixels != background).any(-1)
     assert 0.01 < drawn.mean() < 0.5
-    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 100
+    assert len(np.unique(pixels.astype(int) @ [65536, 256, 1])) > 100
 
 
 @pytest.mark.parametrize(("size", "touch"), [(DESKTOP, False), (PHONE, True), ((320, 640), True)])
