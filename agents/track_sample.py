@@ -181,7 +181,7 @@ def _where(state: np.ndarray) -> dict[str, float]:
     d = len(state) // 2
     places = ("east_m", "north_m", "up_m")[:d]
     speeds = tuple(f"velocity_{name.removesuffix('_m')}_m_s" for name in places)
-    return {name: float(value) for name, value in zip((*places, *speeds), state, strict=True)}
+    return {name: float(value) + 0.0 for name, value in zip((*places, *speeds), state, strict=True)}  # no −0
 
 
 def _instants(episode: Episode) -> Iterator[tuple[float, Any, np.ndarray]]:
