@@ -29,7 +29,8 @@ FAMILIES = {
 }
 """Environments and the documents that describe them."""
 TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
-WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "pretrained.md", *TRACKER_PAGES, *FAMILIES.values()]
+PAGES = [ROOT / "docs" / f"{name}.md" for name in ("pretrained", "track")]
+WITH_CODE = [ROOT / "README.md", *PAGES, *TRACKER_PAGES, *FAMILIES.values()]
 
 
 def blocks(document: Path) -> list[str]:
