@@ -46,7 +46,7 @@ class Family:
     usual: str
     trackers: Mapping[str, Any]
     read: Callable[..., Any]
-    replay: type[Replay]
+    replay: Callable[..., Any]
     environment: Callable[[Any, str], str]
     fields: Callable[[Any], dict[str, Any]]
 
@@ -65,8 +65,14 @@ def _targets(recording: Any) -> int:
 
 
 def _pool(recording: Any) -> dict[str, Any]:
-    """Fields of a passive radar with the recording's transmitters."""
+    """Fields of a passive radar with the recording's transmitters.
+
+    Raises:
+        ValueError: fewer than two of them.
+    """
     d = recording.transmitters.shape[1]
+    if len(recording.names) < 2:
+        raise ValueError(f"{recording.source}: has one transmitter, a track on range sums needs two or more")
     if len(recording.names) > 2:
         return {"dimensions": d, "transmitters": len(recording.names)}
     sites = np.concatenate([recording.platforms[:1, 0, :d], recording.transmitters])
@@ -129,18 +135,14 @@ def open_replay(
         recording = _with_reference(recording, reference, first=title == "angle-fusion")
     elif reference is not None:
         raise ValueError("--reference: is not used, ranges count from the receiver; leave it out")
+    start = _guess(title, guess, str(file) == SAMPLE, recording)
     fitting = family.environment(recording, name)
     environment = scenario_name(environment or fitting)
     _check_environment(environment, fitting)
     told = {"step_s": usual_step_s(recording)} | family.fields(recording) | fields
     scenario = make_scenario(environment, told | {"tracker": name})
-    if title != "passive-radar":
-        if guess is not None:
-            raise ValueError("--guess: is not used, tracks on directions start without one; leave it out")
-        return environment, family.replay(scenario, recording)
-    if guess is None and str(file) == SAMPLE:
-        guess = SAMPLE_GUESS
-    return environment, SumReplay(scenario, recording, _checked_guess(guess, recording))
+    more = () if start is None else (start,)
+    return environment, family.replay(scenario, recording, *more)
 
 
 def usual_step_s(recording: Any) -> float:
@@ -180,15 +182,25 @@ def _check_environment(name: str, fitting: str) -> None:
         )
 
 
-def _checked_guess(guess: Sequence[float] | None, recording: Any) -> np.ndarray:
+def _guess(title: str, guess: Sequence[float] | None, sample: bool, recording: Any) -> np.ndarray | None:
+    """The state [2d] that a track on range sums starts from; None of other families.
+
+    Raises:
+        ValueError: no guess, one of another length, or one that is not used.
+    """
+    if title != "passive-radar":
+        if guess is not None:
+            raise ValueError("--guess: is not used, tracks on directions start without one; leave it out")
+        return None
+    told = SAMPLE_GUESS if guess is None and sample else guess
     d = recording.transmitters.shape[1]
     places = "east, north" if d == 2 else "east, north, up"
     words = f"must be {2 * d} numbers, {places} [m] and their velocities [m/s] of the target at the first scan"
-    if guess is None:
+    if told is None:
         raise ValueError(f"--guess: range sums need one to start from; {words}")
-    if len(guess) != 2 * d or not np.isfinite(guess).all():
-        raise ValueError(f"--guess {' '.join(map(str, guess))}: {words}")
-    return np.asarray(guess, dtype=float)
+    if len(told) != 2 * d or not np.isfinite(told).all():
+        raise ValueError(f"--guess {' '.join(map(str, told))}: {words}")
+    return np.asarray(told, dtype=float)
 
 
 # -- the job -----------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ MAP_IN, DIAGRAM_IN, ELLIPSES = 5.2, 1.9, 6
 """Sizes of panels, and how many ellipses a track has, the first and the last instant's among them."""
 
 FAR_SHARE = 1.5
-"""Tracks are shown as far as this share of the way from the platforms to the farthest final estimate."""
+"""Tracks are shown as far as this many times the distance of the farthest final estimate, ranges alike."""
 
 
 def track_picture(track: Track) -> Figure:
@@ -113,8 +113,10 @@ def _draw_ranges(axes: Axes, track: Track) -> None:
         axes.fill_between(track.time_s, 1e-3 * np.maximum(low, 0.0), 1e-3 * high, color=color, alpha=0.16, linewidth=0)
         axes.plot(track.time_s, 1e-3 * distance[:, j], color=color, linewidth=1.8)
     axes.set_xlim(track.time_s[0], max(track.time_s[-1], track.time_s[0] + 1.0))
-    settled = (distance + 2.0 * std)[len(distance) // 4 :]
-    axes.set_ylim(0.0, 1.3e-3 * settled.max())
+    late = slice(len(distance) // 4, None)  # early spreads may be many times the range
+    low, high = (distance - 2.0 * std)[late].min(), (distance + 2.0 * std)[late].max()
+    low, high = min(low, distance.min()), max(high, min(distance.max(), FAR_SHARE * high))
+    axes.set_ylim(1e-3 * max(low - 0.05 * (high - low), 0.0), 1e-3 * (high + 0.05 * (high - low)))
 
 
 def _samples(track: Track) -> list[Any]:
@@ -134,14 +136,15 @@ def _samples(track: Track) -> list[Any]:
 
 
 def _draw_fit(axes: Axes, track: Track) -> None:
-    """NIS per degree of freedom; the band is that of each instant's degrees."""
+    """NIS per degree of freedom; the band is that of each instant's degrees, of the usual ones where there are none."""
     nis, degrees = track.fits
     style_diagram(axes, "", "NIS / degrees")
     for j in range(nis.shape[1]):
         seen = degrees[:, j] > 0.0
         share = np.maximum(nis[seen, j] / degrees[seen, j], 1e-3)
         axes.plot(track.time_s[seen], share, ".", color=series_color(j), markersize=5, label=f"track {j + 1}")
-    most = np.maximum(degrees.max(1), 1.0)
+    most = degrees.max(1)
+    most = np.where(most > 0.0, most, np.median(most[most > 0.0]) if most.any() else 1.0)
     low, high = (chi2.ppf(p, most) / most for p in (0.025, 0.975))
     axes.fill_between(track.time_s, np.maximum(low, 1e-3), high, color=MUTED, alpha=0.16, linewidth=0, step="mid",
                       label="95 % of a consistent tracker")  # fmt: skip

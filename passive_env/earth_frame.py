@@ -25,7 +25,8 @@ class EarthFrame(NamedTuple):
 
     def geodetic(self, east: Any, north: Any, up: Any) -> np.ndarray:
         """Latitude, longitude [rad] and height [m] [..., 3] of places in the frame [...] m."""
-        return np.stack(pymap3d.enu2geodetic(east, north, up, *self, deg=False), axis=-1)
+        found = pymap3d.enu2geodetic(east, north, up, *self, deg=False)
+        return np.stack(np.broadcast_arrays(*found), axis=-1)
 
     def ground(self, east: Any, north: Any) -> np.ndarray:
         """Latitude and longitude [..., 2] rad of places [...] m, taken to lie on the ellipsoid."""

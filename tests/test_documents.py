@@ -29,15 +29,8 @@ FAMILIES = {
 }
 """Environments and the documents that describe them."""
 TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
-WITH_CODE = [
-    *(
-        ROOT / "README.md",
-        ROOT / "docs" / "pretrained.md",
-        ROOT / "docs" / "deployment.md",
-        ROOT / "docs" / "replay.md",
-    ),
-    *(*TRACKER_PAGES, *FAMILIES.values()),
-]
+PAGES = [ROOT / "docs" / f"{name}.md" for name in ("pretrained", "deployment", "replay", "track")]
+WITH_CODE = [ROOT / "README.md", *PAGES, *TRACKER_PAGES, *FAMILIES.values()]
 WITHOUT_COMMANDS = [ROOT / "docs" / "stonesoup.md"]
 
 

@@ -345,6 +345,10 @@ def test_bad_rows_of_other_trackers_are_refused(read, text, words, tmp_path):
         ("rp-ekf", GOOD, {"fields": {"nogo_discs": 1}}, "has no field 'nogo_discs'"),
         ("passive-radar", SUM_ROWS + "0,T,5,0,0,9,9\n1,T,6,0,0,9,9\n", {}, "--guess: range sums need one"),
         ("passive-radar", SUM_ROWS + "0,T,5,0,0,9,9\n1,T,6,0,0,9,9\n", {"guess": (1.0,)}, "--guess 1.0: must be 4"),
+        (
+            "passive-radar", SUM_ROWS + "0,T,5,0,0,9,9\n1,T,6,0,0,9,9\n", {"guess": (1.0, 2.0, 0.0, 0.0)},
+            "has one transmitter, a track on range sums needs two",
+        ),
         ("kalman", GOOD, {}, "--tracker 'kalman': must be one of rp-ekf"),
     ],
 )  # fmt: skip
