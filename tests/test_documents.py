@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import gymnasium as gym
@@ -35,7 +37,12 @@ OTHER_COMMANDS = (
     "python -m agents.documentation",  # test_documentation.py: it changes nothing
     "mkdocs build --strict",  # .ci/run
 )
-"""Commands in documents besides our own, and who runs them."""
+"""Commands in documents besides our own, and who runs them. Any may install an extra that pyproject.toml has."""
+
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+
+RUN_HERE = ("evaluate", "list")
+"""With two episodes, unless it names a run folder or a file; as it is."""
 
 PARSED_ONLY = {
     "train": "minutes of training; .ci/run and the tests of training run short ones",
@@ -45,8 +52,7 @@ PARSED_ONLY = {
     "pack": "needs a trained run; tests/test_packed.py",
     "curves": "needs several runs; tests/test_learning_curves.py",
 }
-"""Commands that are parsed and not run here, and why. `evaluate` runs with two episodes unless it names a run folder or
-a file, `list` runs as it is."""
+"""Commands that are parsed and not run here, and why."""
 
 
 def name_of(path: Path) -> str:
@@ -98,8 +104,24 @@ def registries():
         registry.update(before)
 
 
+def missing_extras(document: Path) -> list[str]:
+    """Extras whose installation a document tells and of which a package is not installed."""
+    told = re.findall(r'^    python -m pip install "passive-env\[(\w+)\]"', document.read_text(encoding="utf-8"), re.M)
+    return [extra for extra in told if not all(installed(each) for each in EXTRAS[extra])]
+
+
+def installed(requirement: str) -> bool:
+    """Whether some version of a required distribution is there."""
+    try:
+        return bool(metadata.version(re.split(r"[^\w.-]", requirement)[0]))
+    except metadata.PackageNotFoundError:
+        return False
+
+
 @pytest.mark.parametrize("document", WITH_PYTHON, ids=name_of)
 def test_python_blocks_run(document, capsys, registries):
+    if missing := missing_extras(document):
+        pytest.skip(f"needs the extra {', '.join(missing)}")
     for block in python_blocks(document):
         exec(compile(block, str(document), "exec"), {"__name__": "example"})
     assert capsys.readouterr().out
@@ -111,7 +133,9 @@ def test_no_code_is_left_out(document):
     assert {language for language, *_ in fences(document)} <= set(LANGUAGES)
     assert all(document == START for language, *_ in fences(document) if language == "sh")
     words = ("python ", "pip ", "bash ", "mkdocs ", "git ", "export ")
-    assert [line for line in indented(document) if line.startswith(words) and line not in OTHER_COMMANDS] == []
+    others = [line for line in indented(document) if line.startswith(words) and line not in OTHER_COMMANDS]
+    extras = [re.fullmatch(r'python -m pip install (?:-e )?"(?:passive-env|\.)\[(\w+)\]"', line) for line in others]
+    assert [line for line, extra in zip(others, extras, strict=True) if not (extra and extra[1] in EXTRAS)] == []
 
 
 @pytest.mark.parametrize("document", WITH_COMMANDS, ids=name_of)
@@ -124,18 +148,20 @@ def test_commands_parse(document, monkeypatch):
         assert getattr(command, "env", environment_ids()[0]) in environment_ids()
 
 
+def test_every_command_is_run_or_says_why_not():
+    """A new command gets a place in RUN_HERE or, with the reason, in PARSED_ONLY."""
+    named = {line.split()[0] for document in WITH_COMMANDS for line in commands(document)}
+    assert named - {*RUN_HERE, *PARSED_ONLY} == set()
+
+
 def runnable(line: str) -> bool:
-    """Whether a command is run here: evaluations of policies that need no run folder."""
+    """Whether a command is run here: lists, and evaluations of policies that need no run folder."""
     words = shlex.split(line, comments=True)
-    if words[0] == "list":
-        return True
-    assert words[0] in ("evaluate", *PARSED_ONLY), line
-    if words[0] != "evaluate":
-        return False
-    start = words.index("--policies") + 1
-    named = [word for word in words[start:] if not word.startswith("--")]
-    stop = next((i for i, word in enumerate(words[start:]) if word.startswith("--")), len(words) - start)
-    return all(re.fullmatch(r"\w+", name) and name != "RUNDIR" for name in named[:stop])
+    if words[0] != "evaluate" or "--policies" not in words:
+        return words[0] in RUN_HERE
+    after = words[words.index("--policies") + 1 :]
+    stop = next((i for i, word in enumerate(after) if word.startswith("--")), len(after))
+    return all(re.fullmatch(r"\w+", name) and name != "RUNDIR" for name in after[:stop])
 
 
 RUNNABLE = sorted({line for document in WITH_COMMANDS for line in commands(document) if runnable(line)})
