@@ -111,7 +111,7 @@ class AdaptiveRpEkf(RpEkf):
         process_noise: q of the first model [m/s per step].
         maneuver_noise: q of the others [m/s per step].
         turn_rates_deg_s: turn rate of each further model, counter-clockwise; 0 is constant velocity.
-        transition: [r][r] Π, probability to go from one model (row) to another (column) in one step; the default is
+        transition: [r, r] Π, probability to go from one model (row) to another (column) in one step; the default is
             meant for steps of 5 s and turns of 10 to 30 s.
     """
 
