@@ -30,6 +30,7 @@ FAMILIES = {
 """Environments and the documents that describe them."""
 TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
 WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "pretrained.md", *TRACKER_PAGES, *FAMILIES.values()]
+WITH_COMMANDS = [*WITH_CODE, ROOT / "docs" / "ray.md"]
 
 
 def blocks(document: Path) -> list[str]:
@@ -50,7 +51,7 @@ def test_python_blocks_run(document, capsys):
     assert capsys.readouterr().out
 
 
-@pytest.mark.parametrize("document", WITH_CODE, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", WITH_COMMANDS, ids=lambda path: path.name)
 def test_commands_parse(document, monkeypatch):
     parsed = []
     monkeypatch.setattr(cli, "_guarded", lambda command: parsed.append(command) or 0)
