@@ -16,7 +16,7 @@ from passive_env.team_vector_env import TeamVectorEnv
 from passive_env.vector_env import PassiveVectorEnv
 
 
-def observation_space(env: PassiveVectorEnv, truth: Any = None) -> Any:
+def observation_space(env: PassiveVectorEnv | TeamVectorEnv, truth: Any = None) -> Any:
     """Space of a sub-environment's observations, with a `passive_env.truth.TruthObservation` behind if there is one."""
     known: Any = env.single_observation_space
     if truth is None:
