@@ -202,12 +202,9 @@ def check_folder(run: Run, resume: bool) -> None:
 
 
 def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
-    """The environments to learn in; of a preset with a ``flights_share`` so many with recorded courses, the last ones.
-
-    A user who chooses the course has it in all of them.
-    """
-    scenario, share = run.training_scenario, run.preset.get("flights_share")
-    if share is None or "course" in run.fields:
+    """The environments to learn in, the last ones with recorded courses (`flights_share`)."""
+    scenario, share = run.training_scenario, flights_share(run)
+    if share == 0.0:
         return _vector_env(scenario, run.envs, run.asymmetric)
     recorded = recorded_environments(run.envs, share)
     return JoinedVecEnv(
@@ -216,6 +213,11 @@ def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
             _vector_env(scenario.replace(course="flights", flight_split="train"), recorded, run.asymmetric),
         ]
     )
+
+
+def flights_share(run: Run) -> float:
+    """Share of environments with recorded courses while a run learns; 0 where the user chose the course."""
+    return 0.0 if "course" in run.fields else run.preset.get("flights_share", 0.0)
 
 
 def _vector_env(scenario: Any, envs: int, truth: bool) -> Sb3VecEnv:

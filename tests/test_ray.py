@@ -277,6 +277,19 @@ def test_no_two_samples_share_an_episode(tmp_path):
     assert len(seeds) == len(set(seeds)) == 4 * ENVS
 
 
+def test_rollouts_fly_drawn_or_recorded_courses_by_the_presets_share(tmp_path):
+    run = tiny_run(tmp_path, scenario_name="OwnshipMulti", fields={"steps": STEPS})
+    assert run.preset["flights_share"] == 0.5
+    one, courses = runner(run), []
+    for steps in range(0, 20 * ROLLOUT, ROLLOUT):
+        one.set_state({"num_env_steps_sampled_lifetime": steps})
+        one.sample()
+        courses.append((one.env.scenario.course, one.env.scenario.flight_split))
+    assert set(courses) == {("random", "train"), ("flights", "train")}
+    chosen = tiny_run(tmp_path, scenario_name="OwnshipMulti", fields={"steps": STEPS, "course": "flights"})
+    assert configuration(chosen, new_model(chosen, training_env(chosen))).env_config["flights_share"] == 0.0
+
+
 def test_a_runner_flies_as_many_whole_episodes_as_it_is_asked_for(tmp_path):
     one = runner(tiny_run(tmp_path))
     width = ENVS // 2

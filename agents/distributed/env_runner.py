@@ -35,6 +35,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         first_seed: of the first episode of a training; without it ``config.seed``, or 0. Rollouts count on from it, so
             a resumed training flies the episodes that come next, and all runners others.
         truth: append what a critic may know (`passive_env.truth`) to the observations.
+        flights_share: share of rollouts in which targets fly recorded courses (`agents.mixture` mixes within each).
 
     Which episodes are flown and which actions are drawn follows from the seed, the steps flown so far by all runners,
     and the runner's place among them.
@@ -46,11 +47,17 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         fields = dict(config.env_config)
         self._first_seed = int(fields.pop("first_seed", config.seed or 0))
         with_truth = fields.pop("truth", False)
+        self._flights_share = float(fields.pop("flights_share", 0.0))
         name = str(config.env).removeprefix("passive_env:")
         width = config.num_envs_per_env_runner
         self.env: Any = PassiveVectorEnv(name, num_envs=width, autoreset_mode="disabled", threads=1, **fields)
+        self._kinds = [self.env]
+        if self._flights_share > 0.0:
+            recorded = {**fields, "course": "flights", "flight_split": "train"}
+            self._kinds.append(PassiveVectorEnv(name, num_envs=width, autoreset_mode="disabled", threads=1, **recorded))
         self._truth = self.env.scenario.make_truth_observation() if with_truth else None
-        self.env.single_observation_space = observation_space(self.env, self._truth)
+        for env in self._kinds:
+            env.single_observation_space = observation_space(env, self._truth)
         self.num_envs = width
         self._begun_at, self._again = -1, 0
         torch.set_num_threads(1)
@@ -77,6 +84,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         """One episode of every sub-environment."""
         seed = self._next_seed()
         torch.manual_seed(seed)
+        self.env = self._kinds[int(np.random.default_rng(seed).random() < self._flights_share)]
         self.env.action_space.seed(seed)
         observation, info = self.env.reset(seed=seed)
         columns: dict[str, list[np.ndarray]] = {Columns.OBS: [self._seen(observation)], Columns.REWARDS: []}

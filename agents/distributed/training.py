@@ -35,6 +35,7 @@ from agents.training import (
     Run,
     Yardstick,
     check_folder,
+    flights_share,
     flown,
     new_model,
     rollout_steps,
@@ -107,12 +108,13 @@ def configuration(run: Run, model: BaseAlgorithm) -> PPOConfig:
     settings["minibatch_size"] = min(settings["minibatch_size"], whole)
     low = FINAL_RATE * rate
     decay = [[0, rate], [int((1.0 - FINAL_RATE) * run.timesteps), low], [run.timesteps, low]]
-    fields = {**run.preset.get("scenario", {}), **run.fields}
+    settings_of_env = {**run.preset.get("scenario", {}), **run.fields, "truth": run.asymmetric}
+    settings_of_env |= {"first_seed": training_seed(run.seed), "flights_share": flights_share(run)}
     return (
         PPOConfig()
         .environment(
             environment_id(run.scenario_name),
-            env_config={**fields, "first_seed": training_seed(run.seed), "truth": run.asymmetric},
+            env_config=settings_of_env,
             observation_space=model.observation_space,
             action_space=model.action_space,
         )
