@@ -29,7 +29,7 @@ class PassiveParallelEnv(ParallelEnv[str, np.ndarray, Any]):
 
     Observation, action: as of `passive_env.team.Team`; `observation_fields` names every number of the observation.
     Reward: with "team" every agent earns the environment's reward, with "difference" by how much that is larger than if
-        the agent had idled all along (`passive_env.team.IdleWorlds`); this costs one more simulated step per agent.
+        the agent had idled all along (`passive_env.team.IdleWorlds`); that takes about as long again as a step.
     Episode end: all agents are truncated together after ``steps`` decisions; never terminated.
     infos: for every agent what the environment's `info` shows, truth included, and ``team_reward``. Agents' infos share
         their arrays.
