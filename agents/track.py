@@ -146,14 +146,17 @@ def open_replay(
 
 
 def usual_step_s(recording: Any) -> float:
-    """The median time between scans, to nine digits [s].
+    """The median time between scans [s], in as few digits as the times' own rounding allows.
 
     Raises:
         ValueError: fewer than two scans, or a median that is no step of an environment.
     """
     if len(recording.time_s) < 2:
         raise ValueError(f"{recording.source}: has one scan, a track needs two or more")
-    step_s = float(f"{np.median(np.diff(recording.time_s)):.9g}")
+    median = float(np.median(np.diff(recording.time_s)))
+    rounding = 2.0 * np.spacing(np.abs(recording.time_s).max()) + 1e-12 * median
+    shorter = (float(f"{median:.{digits}g}") for digits in range(1, 17))
+    step_s = next((value for value in shorter if abs(value - median) <= rounding), median)
     if not 0.1 <= step_s <= 60.0:
         raise ValueError(
             f"{recording.source}: the median time between scans is {step_s:g} s, must lie in [0.1, 60]; thin the rows "
