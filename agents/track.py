@@ -139,8 +139,9 @@ def open_replay(
     fitting = family.environment(recording, name)
     environment = scenario_name(environment or fitting)
     _check_environment(environment, fitting)
-    told = {"step_s": usual_step_s(recording)} | family.fields(recording) | fields
-    scenario = make_scenario(environment, told | {"tracker": name})
+    own = family.fields(recording)
+    _check_fields(fields, own)
+    scenario = make_scenario(environment, {"step_s": usual_step_s(recording)} | own | fields | {"tracker": name})
     more = () if start is None else (start,)
     return environment, family.replay(scenario, recording, *more)
 
@@ -183,6 +184,19 @@ def _check_environment(name: str, fitting: str) -> None:
         raise ValueError(
             f"--environment {name}: is no environment for this recording, whose tracker runs in passive/{fitting}-v0"
         )
+
+
+def _check_fields(fields: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    """Refuse fields that the recording tells otherwise.
+
+    Args:
+        fields: the user's; own: the recording's.
+    """
+    if "sites" in fields:
+        raise ValueError("sites among the fields: the recording says where they are; leave it out")
+    for name, value in own.items():
+        if fields.get(name, value) != value:
+            raise ValueError(f"{name}={fields[name]!r} among the fields: the recording says {value!r}; leave it out")
 
 
 def _guess(title: str, guess: Sequence[float] | None, sample: bool, recording: Any) -> np.ndarray | None:
