@@ -13,7 +13,7 @@ import pytest
 from agents import cli
 from agents.policy import make_policy
 from agents.track import FAMILIES, find_family, follow, open_replay
-from agents.track_files import advice_rows, summary
+from agents.track_files import advice_rows, summary, track_csv
 from agents.track_sample import SAMPLE_GUESS, SAMPLES, fly_episode, sample_path, write_episode
 from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from passive_env.recording_file import RecordingError
@@ -292,6 +292,34 @@ def test_directions_in_space_on_the_earth(tmp_path):
     low = read.frame.ground(goal[:1], goal[1:2])
     place = pymap3d.geodetic2enu(*low[0], 0.0, *read.frame, deg=False)
     assert place[:2] == pytest.approx(goal[:2], abs=2.0)
+
+
+def test_a_file_of_latitudes_gives_the_track_of_the_file_of_metres(tmp_path):
+    """The sample put on the earth by `pymap3d`, bearings turned to the north of each station."""
+    origin = (51.0, 7.0, 0.0)
+    rows = list(csv.DictReader(io.StringIO(sample_path("imm-mie").read_text(encoding="utf-8"))))
+    head = "time_s,station,bearing_deg,latitude_deg,longitude_deg,height_m,velocity_east_m_s,velocity_north_m_s\n"
+    text = head
+    for row in rows:
+        east, north = float(row["east_m"]) + 40e3, float(row["north_m"]) + 30e3
+        lat, lon, height = pymap3d.enu2geodetic(east, north, 0.0, *origin)
+        bearing = ""
+        if row["bearing_deg"]:
+            angle = math.radians(float(row["bearing_deg"]))
+            space = pymap3d.enu2uvw(math.sin(angle), math.cos(angle), 0.0, *origin[:2])
+            x, y, _ = pymap3d.uvw2enu(*space, lat, lon)
+            bearing = repr(float(math.degrees(math.atan2(x, y)) % 360.0))
+        text += f"{row['time_s']},{row['station']},{bearing},{lat!r},{lon!r},{height!r},"
+        text += f"{row['velocity_east_m_s']},{row['velocity_north_m_s']}\n"
+    text = text.replace("np.float64(", "").replace(")", "")
+    flat = follow(open_replay("sample", "imm-mie")[1])
+    round_ = follow(open_replay(write(tmp_path, text), "imm-mie", origin=origin)[1])
+    late = slice(5, None)
+    assert round_.mean[late, 0, :2] == pytest.approx(flat.mean[late, 0, :2] + (40e3, 30e3), abs=2.0)
+    lat, lon = round_.on_earth[-1, 0]
+    place = pymap3d.geodetic2enu(lat, lon, 0.0, *origin)
+    assert place[:2] == pytest.approx(round_.mean[-1, 0, :2], abs=1.0)
+    assert "latitude_deg" in track_csv(round_).splitlines()[0]
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------
