@@ -139,21 +139,25 @@ def open_replay(
     fitting = family.environment(recording, name)
     environment = scenario_name(environment or fitting)
     _check_environment(environment, fitting)
-    told = {"step_s": usual_step_s(recording)} | family.fields(recording) | fields
-    scenario = make_scenario(environment, told | {"tracker": name})
+    own = family.fields(recording)
+    _check_fields(fields, own)
+    scenario = make_scenario(environment, {"step_s": usual_step_s(recording)} | own | fields | {"tracker": name})
     more = () if start is None else (start,)
     return environment, family.replay(scenario, recording, *more)
 
 
 def usual_step_s(recording: Any) -> float:
-    """The median time between scans, to nine digits [s].
+    """The median time between scans [s], in as few digits as the times' own rounding allows.
 
     Raises:
         ValueError: fewer than two scans, or a median that is no step of an environment.
     """
     if len(recording.time_s) < 2:
         raise ValueError(f"{recording.source}: has one scan, a track needs two or more")
-    step_s = float(f"{np.median(np.diff(recording.time_s)):.9g}")
+    median = float(np.median(np.diff(recording.time_s)))
+    rounding = 2.0 * np.spacing(np.abs(recording.time_s).max()) + 1e-12 * median
+    shorter = (float(f"{median:.{digits}g}") for digits in range(1, 17))
+    step_s = next((value for value in shorter if abs(value - median) <= rounding), median)
     if not 0.1 <= step_s <= 60.0:
         raise ValueError(
             f"{recording.source}: the median time between scans is {step_s:g} s, must lie in [0.1, 60]; thin the rows "
@@ -180,6 +184,19 @@ def _check_environment(name: str, fitting: str) -> None:
         raise ValueError(
             f"--environment {name}: is no environment for this recording, whose tracker runs in passive/{fitting}-v0"
         )
+
+
+def _check_fields(fields: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    """Refuse fields that the recording tells otherwise.
+
+    Args:
+        fields: the user's; own: the recording's.
+    """
+    if "sites" in fields:
+        raise ValueError("sites among the fields: the recording says where they are; leave it out")
+    for name, value in own.items():
+        if fields.get(name, value) != value:
+            raise ValueError(f"{name}={fields[name]!r} among the fields: the recording says {value!r}; leave it out")
 
 
 def _guess(title: str, guess: Sequence[float] | None, sample: bool, recording: Any) -> np.ndarray | None:

@@ -40,6 +40,9 @@ from trackers.imm_mie import ImmMie
 from trackers.range_sum_ekf import RangeSumEkf
 from trackers.rp_ekf import RpEkf
 
+MOST_PARTS = 10_000
+"""Largest number of steps between two scans; a track that coasts longer means nothing."""
+
 SAME_STEP = 1e-6
 """Share of a step by which a time between two scans may differ and still counts as a step."""
 
@@ -138,9 +141,21 @@ class Replay(ABC):
         if scenario.discs:
             raise ValueError("no-go discs are not part of a recording: leave them out of the fields")
         self.scenario, self.recording = scenario, recording
+        self._check_gaps()
         self.simulation = scenario.make_simulation()
         self.tracker, self.sensors = self.simulation.tracker, self.simulation.sensors
         self._paces: dict[float, Any] = {}
+
+    def _check_gaps(self) -> None:
+        """Refuse times without a scan that are longer than a track lasts."""
+        times, longest = self.recording.time_s, MOST_PARTS * self.scenario.step_s
+        long = np.flatnonzero(np.diff(times) > longest)
+        if len(long):
+            since, until = times[long[0]], times[long[0] + 1]
+            raise ValueError(
+                f"{self.recording.source}: nothing from {since:g} s to {until:g} s, {MOST_PARTS} steps of "
+                f"{self.scenario.step_s:g} s at most can be bridged; split the file there"
+            )
 
     # -- what a family supplies ----------------------------------------------------------------------------------------
 

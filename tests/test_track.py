@@ -13,7 +13,7 @@ import pytest
 from agents import cli
 from agents.policy import make_policy
 from agents.track import FAMILIES, find_family, follow, open_replay
-from agents.track_files import advice_rows, summary
+from agents.track_files import advice_rows, summary, track_csv
 from agents.track_sample import SAMPLE_GUESS, SAMPLES, fly_episode, sample_path, write_episode
 from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from passive_env.recording_file import RecordingError
@@ -35,8 +35,7 @@ def episode(tracker):
 def opened(tracker, file, **more):
     told = {name: value for name, value in SAMPLES[tracker].fields.items() if name not in UNSEEN}
     told |= {"steps": SAMPLES[tracker].fields["steps"]} if "steps" in SAMPLES[tracker].fields else {}
-    guess = None if episode(tracker).guess is None else episode(tracker).guess
-    return open_replay(file, tracker, fields=told | more, guess=guess)[1]
+    return open_replay(file, tracker, fields=told | more, guess=episode(tracker).guess)[1]
 
 
 def write(folder, text, name="file.csv"):
@@ -76,6 +75,51 @@ def test_beliefs_are_those_of_the_environment(tracker, tmp_path):
                 np.testing.assert_allclose(
                     np.asarray(mine, dtype=float), np.asarray(wanted, dtype=float), rtol=1e-9, atol=2e-6, err_msg=name
                 )
+
+
+VARIANTS = [
+    ("rp-ekf", "TwoStation", {"detection_probability": 0.8, "false_bearings_mean": 1.0, "steps": 25}, "rule"),
+    ("rp-ekf", "TwoStation", {"bearings": "reference", "steps": 25}, "rule"),
+    ("rp-ekf", "OwnshipMulti", {"detection_probability": 0.9, "steps": 20}, "straight"),
+    ("angle-fusion", "AngleFusionClutter", {}, "rule"),
+    ("imm-mie", "ManeuveringTarget", {"carrier": "ground"}, "rule"),
+    ("passive-radar", "PassiveRadarRetune", {"steps": 40}, "round_robin"),
+    ("passive-radar", "MobileReceiver", {"steps": 40, "tracker": "ekf"}, "pursuit"),
+    ("passive-radar", "PassiveRadar", {"steps": 40, "dimensions": 3}, "round_robin"),
+]
+
+
+@pytest.mark.parametrize(("tracker", "environment", "fields", "policy"), VARIANTS)
+def test_clutter_delays_and_moving_receivers_come_back_too(tracker, environment, fields, policy, tmp_path):
+    flown = fly_episode(environment, fields, policy, 11)
+    file = write_episode(tmp_path / "file.csv", tracker, flown, radians=True)
+    told = {name: value for name, value in fields.items() if name != "tracker"}
+    _, replay = open_replay(file, tracker, environment, told, guess=flown.guess)
+    track = follow(replay, make_policy(policy, replay.scenario))
+    assert np.array_equal(track.mean, np.concatenate([belief.mean for belief in flown.beliefs]))
+    assert np.array_equal(track.cov, np.concatenate([belief.cov for belief in flown.beliefs]))
+    assert track.commands[:-1] == pytest.approx(np.concatenate(flown.commands), abs=1e-9)
+    turns = slice(0, 1 if environment == "MobileReceiver" else 0 if tracker == "passive-radar" else None)
+    for moment, theirs in zip(track.moments[:-1], flown.beliefs[:-1], strict=True):
+        ours = replay.belief(moment.world)
+        assert ours.last_action[:, turns] == pytest.approx(theirs.last_action[:, turns], abs=2e-6)
+        others = [name for name in ours._fields if name not in ("last_action", "track_state")]
+        for name in others:
+            mine, wanted = (np.asarray(getattr(belief, name), dtype=float) for belief in (ours, theirs))
+            np.testing.assert_allclose(mine, wanted, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("tracker", NAMES)
+def test_rows_lost_at_random_leave_a_track_that_is_finite_and_wider(tracker, tmp_path):
+    rows = sample_path(tracker).read_text(encoding="utf-8").splitlines()
+    kept = np.random.default_rng(4).random(len(rows)) < 0.4
+    kept[:25] = True  # the start
+    thin = write(tmp_path, "\n".join(row for row, keep in zip(rows, kept, strict=True) if keep))
+    whole, track = follow(opened(tracker, "sample")), follow(opened(tracker, thin))
+    for part in (track.mean, track.cov, *track.sights, *track.fits):
+        assert np.isfinite(part).all()
+    assert len(track.time_s) < len(whole.time_s)
+    assert np.trace(track.cov[-1, 0, :2, :2]) > np.trace(whole.cov[-1, 0, :2, :2])
 
 
 @pytest.mark.parametrize("tracker", NAMES)
@@ -250,6 +294,34 @@ def test_directions_in_space_on_the_earth(tmp_path):
     assert place[:2] == pytest.approx(goal[:2], abs=2.0)
 
 
+def test_a_file_of_latitudes_gives_the_track_of_the_file_of_metres(tmp_path):
+    """The sample put on the earth by `pymap3d`, bearings turned to the north of each station."""
+    origin = (51.0, 7.0, 0.0)
+    rows = list(csv.DictReader(io.StringIO(sample_path("imm-mie").read_text(encoding="utf-8"))))
+    head = "time_s,station,bearing_deg,latitude_deg,longitude_deg,height_m,velocity_east_m_s,velocity_north_m_s\n"
+    text = head
+    for row in rows:
+        east, north = float(row["east_m"]) + 40e3, float(row["north_m"]) + 30e3
+        lat, lon, height = pymap3d.enu2geodetic(east, north, 0.0, *origin)
+        bearing = ""
+        if row["bearing_deg"]:
+            angle = math.radians(float(row["bearing_deg"]))
+            space = pymap3d.enu2uvw(math.sin(angle), math.cos(angle), 0.0, *origin[:2])
+            x, y, _ = pymap3d.uvw2enu(*space, lat, lon)
+            bearing = repr(float(math.degrees(math.atan2(x, y)) % 360.0))
+        text += f"{row['time_s']},{row['station']},{bearing},{lat!r},{lon!r},{height!r},"
+        text += f"{row['velocity_east_m_s']},{row['velocity_north_m_s']}\n"
+    text = text.replace("np.float64(", "").replace(")", "")
+    flat = follow(open_replay("sample", "imm-mie")[1])
+    round_ = follow(open_replay(write(tmp_path, text), "imm-mie", origin=origin)[1])
+    late = slice(5, None)
+    assert round_.mean[late, 0, :2] == pytest.approx(flat.mean[late, 0, :2] + (40e3, 30e3), abs=2.0)
+    lat, lon = round_.on_earth[-1, 0]
+    place = pymap3d.geodetic2enu(lat, lon, 0.0, *origin)
+    assert place[:2] == pytest.approx(round_.mean[-1, 0, :2], abs=1.0)
+    assert "latitude_deg" in track_csv(round_).splitlines()[0]
+
+
 # -- bad input ---------------------------------------------------------------------------------------------------------
 
 GOOD = "time_s,station,bearing_deg,east_m,north_m\n0,A,10,0,0\n0,B,12,100,0\n1,A,11,0,5\n1,B,13,100,5\n"
@@ -337,10 +409,16 @@ def test_bad_rows_of_other_trackers_are_refused(read, text, words, tmp_path):
         ("imm-mie", GOOD, {"environment": "TwoStation"}, "is no environment for this recording"),
         ("imm-mie", GOOD, {"environment": "Tow"}, "unknown environment 'Tow'"),
         ("imm-mie", GOOD, {"fields": {"tracker": "ie"}}, "--tracker says which one runs"),
+        ("imm-mie", GOOD, {"fields": {"stations": 3}}, "stations=3 among the fields: the recording says 2"),
+        ("rp-ekf", GOOD, {"fields": {"targets": 3}}, "targets=3 among the fields: the recording says 1"),
+        ("imm-mie", GOOD, {"fields": {"sites": "paper_good"}}, "sites among the fields: the recording says where"),
+        ("imm-mie", GOOD, {"fields": {"target": 1}}, "has no field 'target'"),
         ("imm-mie", GOOD.replace("\n1,", "\n0.01,"), {}, "median time between scans is 0.01 s"),
         ("imm-mie", "\n".join(GOOD.splitlines()[:3]), {}, "has one scan"),
         ("imm-mie", GOOD.replace(",B,", ",A2,").replace(",A,", ",A2,"), {}, "has a row already"),
         ("imm-mie", "\n".join(r for r in GOOD.splitlines() if ",B," not in r), {}, "stations = 1: must lie in"),
+        ("imm-mie", GOOD + "2e5,A,1,0,0\n", {}, "median time"),
+        ("imm-mie", GOOD + "2,A,1,0,0\n2e5,A,1,0,0\n", {}, "nothing from 2 s to 200000 s.*split the file there"),
         ("rp-ekf", GOOD.replace("1,B", "1,C"), {}, "has 3 stations, A, B, C; the bank weighs"),
         ("rp-ekf", GOOD, {"fields": {"nogo_discs": 1}}, "has no field 'nogo_discs'"),
         ("passive-radar", SUM_ROWS + "0,T,5,0,0,9,9\n1,T,6,0,0,9,9\n", {}, "--guess: range sums need one"),
@@ -419,6 +497,22 @@ def test_command_refuses_before_it_writes(tmp_path, capsys):
     assert cli.main(["track", "sample", "--tracker", "imm-mie", "--policy", "oracle", "--out", str(out)]) == 2
     assert "looks at the truth" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_policies_steer_as_many_stations_as_there_are(tmp_path):
+    text = "time_s,azimuth_deg,elevation_deg,east_m,north_m,up_m\n0,1,2,0,0,5000\n2,1,2,0,300,5000\n4,2,,0,600,5000\n"
+    replay = open_replay(write(tmp_path, text), "angle-fusion")[1]
+    assert follow(replay).fits[1][:, 0].tolist() == [0, 2, 1]
+    told = ["track", str(tmp_path / "file.csv"), "--tracker", "angle-fusion", "--policy", "rule", "--out"]
+    assert cli.main([*told, str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_steps_of_times_since_1970_are_round(tmp_path):
+    rows = "".join(f"{1.7e9 + 0.1 * k:.3f},A,{k},0,0\n{1.7e9 + 0.1 * k:.3f},B,{k},9,0\n" for k in range(5))
+    head = "time_s,station,bearing_deg,east_m,north_m\n"
+    assert open_replay(write(tmp_path, head + rows), "imm-mie")[1].scenario.step_s == 0.1
+    assert open_replay(write(tmp_path, GOOD + "1.6,A,1,0,0\n"), "imm-mie")[1].scenario.step_s == 0.8
 
 
 def test_range_and_its_spread_are_those_along_the_line_of_sight(tmp_path):
