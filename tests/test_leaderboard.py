@@ -13,7 +13,7 @@ import pytest
 from markdown_tables import tables
 from scipy.stats import binom, expon
 
-from agents import cli
+from agents import cli, evaluation
 from agents.evaluation import Outcomes, fly, ratio_of_means
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
@@ -51,7 +51,7 @@ def flights_of(monkeypatch):
         names.append(type(policy).__name__)
         return fly(scenario, policy, episodes, seed, progress)
 
-    monkeypatch.setattr(cells, "fly", counted)
+    monkeypatch.setattr(evaluation, "fly", counted)
     return names
 
 
@@ -204,7 +204,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return fly(scenario, policy, episodes, seed, progress)
 
-    monkeypatch.setattr(cells, "fly", killed_in_the_third)
+    monkeypatch.setattr(evaluation, "fly", killed_in_the_third)
     with pytest.raises(KeyboardInterrupt):
         small(tmp_path)
     assert len(list(tmp_path.rglob("*.npz"))) == 2
@@ -750,7 +750,7 @@ def test_bad_input_is_refused_in_one_line_before_anything_is_done(tmp_path, caps
     def too_late(*_, **__):
         raise AssertionError("episodes are being flown")
 
-    monkeypatch.setattr(cells, "fly", too_late)
+    monkeypatch.setattr(evaluation, "fly", too_late)
     out = tmp_path / "out"
     assert cli.main(["leaderboard", *arguments, "--out", str(out)]) == 2
     printed = capsys.readouterr()
