@@ -6,10 +6,12 @@ The cluster's workers find this module, whose policies they fly, on the path tha
 import copy
 import json
 import os
+import re
 import shutil
 import signal
 import socket
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -264,6 +266,19 @@ def test_a_runners_episodes_are_those_of_the_environment(tmp_path):
         assert np.array_equal(reward, [episode.get_rewards(k) for episode in episodes])
     assert np.array_equal(observation, [episode.get_observations(STEPS) for episode in episodes])
     assert all(len(episode) == STEPS and episode.is_terminated for episode in episodes)
+
+
+def test_the_configuration_in_the_document_flies_rllibs_own_network(tmp_path):
+    document = Path(__file__).parents[1] / "docs" / "ray.md"
+    (block,) = re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+    names = {}
+    exec(compile(textwrap.dedent(block), str(document), "exec"), names)
+    one = PassiveEnvRunner(config=names["config"], worker_index=1)
+    assert one.env.scenario.bearing_std_deg == 0.7
+    episodes = one.sample()
+    assert len(episodes) == 128
+    assert len({float(episode.get_return()) for episode in episodes}) > 100
+    assert np.isfinite([episode.get_extra_model_outputs("action_logp") for episode in episodes]).all()
 
 
 def test_no_two_samples_share_an_episode(tmp_path):

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-from passive_env.catalogue import environment_ids  # noqa: F401  the package must be importable before Ray is started
-
 HOW = 'python -m pip install "passive-env[ray]"'
 CLUSTER = "start a cluster with 'ray start --head', or leave --address out"
 ANSWER_S = 5.0
@@ -45,16 +43,27 @@ def cluster(address: str | None, cores: int) -> Iterator[Any]:
     if address is not None:
         check_address(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    own = {"num_cpus": cores, "include_dashboard": False} if address is None else {}
-    # Without an address of ours Ray would join whatever cluster it finds on the machine: "local" is a new one.
-    try:
-        ray.init(address="local" if address is None else address, log_to_driver=False, logging_level="ERROR", **own)
-    except (ConnectionError, RuntimeError) as error:
-        raise ConnectionError(f"--address {address}: {str(error).splitlines()[0]}; {CLUSTER}") from error
+    settings = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address is None:  # Ray alone would join any cluster that it finds on the machine: "local" is a new one
+        ray.init(address="local", num_cpus=cores, include_dashboard=False, **settings)
+    else:
+        _join(ray, address, settings)
     try:
         yield ray
     finally:
         ray.shutdown()
+
+
+def _join(ray: Any, address: str, settings: dict[str, Any]) -> None:
+    """Connect to a running cluster.
+
+    Raises:
+        ConnectionError: there is none.
+    """
+    try:
+        ray.init(address=address, **settings)
+    except (ConnectionError, RuntimeError) as error:
+        raise ConnectionError(f"--address {address}: {str(error).splitlines()[0]}; {CLUSTER}") from error
 
 
 def check_address(address: str) -> None:
