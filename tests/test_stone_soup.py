@@ -92,7 +92,7 @@ def check_unit_variance(values: np.ndarray) -> None:
 
 
 def test_recorded_returns_lie_where_they_come_from(recording):
-    """Bearings of a target are those of the true line of sight with noise of 1 σ; false ones are spread over the circle."""
+    """Bearings of a target are those of its line of sight with noise of 1 σ; false ones spread over the circle."""
     returns, truth = recording.returns, recording.truth
     e, k, s, b = np.nonzero(returns.valid & (returns.origin >= 0))
     target = returns.origin[e, k, s, b]
