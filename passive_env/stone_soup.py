@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.episodes import Recording, Returns
+from passive_env.episode_arrays import EpisodeArrays, Returns
 from passive_env.extras import needs
 
 EXTRA = "stonesoup"
@@ -49,11 +49,11 @@ class Episode(NamedTuple):
     tracks: Any
 
 
-def to_stone_soup(recording: Recording, start: datetime = START) -> list[Episode]:
+def to_stone_soup(recording: EpisodeArrays, start: datetime = START) -> list[Episode]:
     """Recorded episodes as objects of Stone Soup.
 
     Args:
-        recording: as `passive_env.episodes.record` makes it.
+        recording: as `passive_env.episode_arrays.record` makes it.
         start: time of the first scan.
     Raises:
         ImportError: Stone Soup is not installed.
@@ -63,7 +63,7 @@ def to_stone_soup(recording: Recording, start: datetime = START) -> list[Episode
     return [_episode(recording, e, times) for e in range(len(recording.truth))]
 
 
-def from_stone_soup(episodes: Sequence[Episode]) -> Recording:
+def from_stone_soup(episodes: Sequence[Episode]) -> EpisodeArrays:
     """Episodes of Stone Soup's objects as arrays, such as tracks that one of its trackers made of our detections.
 
     Args:
@@ -84,7 +84,7 @@ def from_stone_soup(episodes: Sequence[Episode]) -> Recording:
         raise ValueError(f"episode {other} has arrays of shapes {shapes[other]}, episode 0 of {shapes[0]}: must agree")
     platforms, truth, mean, cov, transmitters, *returns = (np.stack(column) for column in zip(*parts, strict=True))
     seconds = np.array([(time - times[0]).total_seconds() for time in times])
-    return Recording(seconds, platforms, truth, mean, cov, Returns(*returns), transmitters)
+    return EpisodeArrays(seconds, platforms, truth, mean, cov, Returns(*returns), transmitters)
 
 
 def metrics(episode: Episode, cutoff_m: float = 10e3, order: float = 2.0) -> dict[str, dict[str, Any]]:
@@ -167,7 +167,7 @@ def _soup(module: str) -> Any:
 # -- there -------------------------------------------------------------------------------------------------------------
 
 
-def _episode(recording: Recording, e: int, times: list[datetime]) -> Episode:
+def _episode(recording: EpisodeArrays, e: int, times: list[datetime]) -> Episode:
     returns = Returns(*(part[e] for part in recording.returns))
     stations, receivers = _stations(recording, e)
     models = _models(stations, returns.std, receivers)
@@ -208,7 +208,7 @@ def _track(times: list[datetime], mean: np.ndarray, cov: np.ndarray) -> Any:
     return _soup("types.track").Track([state(x, P, timestamp=time) for x, P, time in ordered])
 
 
-def _stations(recording: Recording, e: int) -> tuple[np.ndarray, np.ndarray]:
+def _stations(recording: EpisodeArrays, e: int) -> tuple[np.ndarray, np.ndarray]:
     """States [k + 1, s, d] of what has a measurement model, and [k + 1, 1 or 0, d] of a passive radar's receiver."""
     platforms, sites = recording.platforms[e], recording.transmitters[e]
     if not len(sites):

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from agents.evaluation import fly
 from agents.policy import make_policy
 from passive_env.catalogue import make_scenario
-from passive_env.episodes import Recording, Returns, record
+from passive_env.episode_arrays import EpisodeArrays, Returns, record
 from passive_env.extras import MissingExtra
 from passive_env.stone_soup import (
     MAPPING,
@@ -43,7 +43,7 @@ def cluttered() -> Any:
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
+def recording() -> EpisodeArrays:
     """Two episodes of three targets with missed detections and false bearings."""
     scenario = cluttered()
     return record(scenario, make_policy("paper", scenario), 2, 7)
@@ -54,11 +54,11 @@ def episodes(recording) -> list[Episode]:
     return to_stone_soup(recording)
 
 
-def arrays(recording: Recording) -> dict[str, Any]:
+def arrays(recording: EpisodeArrays) -> dict[str, Any]:
     return {**recording._asdict(), **recording.returns._asdict(), "returns": ()}
 
 
-def synthetic(size: int = 6, components: int = 2, times_s: tuple[float, ...] = (0.0, 0.1, 0.3, 7.25)) -> Recording:
+def synthetic(size: int = 6, components: int = 2, times_s: tuple[float, ...] = (0.0, 0.1, 0.3, 7.25)) -> EpisodeArrays:
     """Numbers without any sense, but all different."""
     rng = np.random.default_rng(5)
     e, k, s, m, b = 2, len(times_s), 3, 2, 5
@@ -70,7 +70,7 @@ def synthetic(size: int = 6, components: int = 2, times_s: tuple[float, ...] = (
         rng.uniform(0.001, 0.1, (e, k, s, components)),
     )  # fmt: skip
     states = [1e4 * rng.normal(size=(e, k, n, size)) for n in (s, m, m)]
-    return Recording(np.array(times_s), *states, root @ np.swapaxes(root, -1, -2), returns, np.empty((e, 0, 0)))
+    return EpisodeArrays(np.array(times_s), *states, root @ np.swapaxes(root, -1, -2), returns, np.empty((e, 0, 0)))
 
 
 # ------------------------------------------------------------------------------------------------------ recording
@@ -92,7 +92,7 @@ def check_unit_variance(values: np.ndarray) -> None:
 
 
 def test_recorded_returns_lie_where_they_come_from(recording):
-    """Bearings of a target are those of the true line of sight with noise of 1 σ; false ones lie anywhere."""
+    """Bearings of a target are those of its line of sight with noise of 1 σ; false ones spread over the circle."""
     returns, truth = recording.returns, recording.truth
     e, k, s, b = np.nonzero(returns.valid & (returns.origin >= 0))
     target = returns.origin[e, k, s, b]

@@ -40,7 +40,7 @@ class Returns(NamedTuple):
     std: Any
 
 
-class Recording(NamedTuple):
+class EpisodeArrays(NamedTuple):
     """Flown episodes; e episodes, k + 1 instants, s stations, m targets, states of d numbers.
 
     Attributes:
@@ -98,7 +98,7 @@ class Watched:
         return self.sightings[-1]
 
 
-def record(scenario: Any, policy: Any, episodes: int = 1, seed: int = 0) -> Recording:
+def record(scenario: Any, policy: Any, episodes: int = 1, seed: int = 0) -> EpisodeArrays:
     """Fly a policy through episodes seed … seed + episodes − 1, as the environments do, and keep everything.
 
     Args:
@@ -121,7 +121,7 @@ def record(scenario: Any, policy: Any, episodes: int = 1, seed: int = 0) -> Reco
         action = codec.encode(policy.act(belief, simulation.observe(world)), belief)
         world, *_ = simulation.advance(world, simulation.command(world, codec.decode(action, episodes)))
         worlds.append(world)
-    return _recording(scenario, worlds, watched.sightings)
+    return _gathered(scenario, worlds, watched.sightings)
 
 
 def _check_kind(scenario: Any, simulation: Any) -> None:
@@ -133,13 +133,13 @@ def _check_kind(scenario: Any, simulation: Any) -> None:
         )
 
 
-def _recording(scenario: Any, worlds: list[World], sightings: list[Any]) -> Recording:
+def _gathered(scenario: Any, worlds: list[World], sightings: list[Any]) -> EpisodeArrays:
     def stacked(parts: Any) -> np.ndarray:
         return np.stack(list(parts), axis=1)
 
     slots = sightings[-1].scan.valid.shape[-1]
     returns = [_returns(sighting, slots) for sighting in sightings]
-    return Recording(
+    return EpisodeArrays(
         np.round(scenario.step_s * np.arange(scenario.steps + 1), 6),
         stacked(world.platforms for world in worlds),
         stacked(world.truth for world in worlds),
