@@ -203,7 +203,7 @@ def _entry_layers(world: World, scenario: Any, installed: int, target: Any, esti
         layers["sensors without range"] = np.where(scenario.ranging[:, None], np.nan, sensors)[None, :, :2]
     if estimate is not None:
         layers["estimates"] = 1e-3 * estimate[None, None, pick]
-    if cov is not None:
+    if estimate is not None and cov is not None:
         layers["2σ ellipses"] = ellipse_rows(estimate[pick], cov[np.ix_(pick, pick)])[None, None]
     if axes == (0, 1):
         return layers | {

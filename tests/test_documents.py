@@ -29,7 +29,8 @@ FAMILIES = {
 }
 """Environments and the documents that describe them."""
 TRACKER_PAGES = [ROOT / "docs" / f"{name}_trackers.md" for name in ("imm_mie", "radar_placement", "passive_radar")]
-WITH_CODE = [ROOT / "README.md", ROOT / "docs" / "pretrained.md", ROOT / "docs" / "replay.md", *TRACKER_PAGES, *FAMILIES.values()]
+OTHER_PAGES = [ROOT / "docs" / f"{name}.md" for name in ("pretrained", "replay")]
+WITH_CODE = [ROOT / "README.md", *OTHER_PAGES, *TRACKER_PAGES, *FAMILIES.values()]
 
 
 def blocks(document: Path) -> list[str]:
