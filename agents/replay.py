@@ -27,6 +27,10 @@ from passive_env.palette import INK, MUTED, SERIES, curve_color
 
 ASPECTS = (0.8, 1.5)
 """Widths of maps over their heights."""
+LARGEST = 1e30
+"""Beyond this a diverged track's numbers are not drawn."""
+FARTHEST_KM = 1e6
+"""Distances are told up to this."""
 OFF_MAP = "estimates off the map"
 """Layer of arrows at the edge of a view."""
 
@@ -125,9 +129,9 @@ def _view(view: ViewRecord, frame: Frame | None) -> dict[str, Any]:
 
 
 def pack(values: np.ndarray) -> dict[str, Any]:
-    """An array as base64 of little-endian 32-bit floats; whatever is not finite as NaN."""
+    """An array as base64 of little-endian 32-bit floats; what is not finite, or larger than they can be, as NaN."""
     values = np.asarray(values, dtype=float)
-    content = np.where(np.isfinite(values), values, np.nan).astype("<f4").tobytes()
+    content = np.where(np.abs(values) < LARGEST, values, np.nan).astype("<f4").tobytes()
     return {"shape": values.shape, "f32": base64.b64encode(content).decode()}
 
 
@@ -175,6 +179,6 @@ def _off_map(view: ViewRecord, frame: Frame) -> dict[str, np.ndarray]:
     points, outside = edge_points(middle, np.where(np.isfinite(ends), ends, middle), frame)
     way = ends - middle
     course = np.degrees(np.arctan2(way[:, 1], way[:, 0]))
-    arrows = np.column_stack([points, course, np.hypot(*way.T)])
+    arrows = np.column_stack([points, course, np.minimum(np.hypot(*way.T), FARTHEST_KM)])
     arrows[~outside] = np.nan
     return {OFF_MAP: arrows.reshape(*estimates.shape[:-1], 4)} if outside.any() else {}

@@ -259,10 +259,11 @@ def middle_of(look: Look, s: int) -> np.ndarray:
 
 
 def reach_deg(look: Look, s: int, gate_size: float) -> float:
-    """Half width [°] of axes that hold a sensor's gate."""
+    """Half width [°] of axes that hold a sensor's gate; a diverged track's may be anything."""
     if look.covs is None:
         return 2.0
-    return 1.15 * float(np.degrees(math.sqrt(gate_size * np.diagonal(look.covs[s]).max())))
+    variance = float(np.nan_to_num(gate_size * np.diagonal(look.covs[s]).max()))
+    return 1.15 * min(max(math.degrees(math.sqrt(max(variance, 0.0))), 1e-3), 180.0)
 
 
 def direction_of(truth: np.ndarray, platform: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import pytest
 from matplotlib import animation
 from PIL import Image
 from scipy.stats import chi2
+from spoilt_trackers import SPOILT, spoilt_later
 
 from agents import cli
 from agents.animation import HOLD, check_animation, write_animation
@@ -35,6 +36,7 @@ from passive_env.layers import (
     numbered,
 )
 from passive_env.render_radar import ghost_of, sum_axes, sum_ellipse
+from trackers import AnglePdaf, FusedEkf
 
 COLUMNS = {"dart": 3, "dot": 3, "ring": 2, "cross": 2, "site": 2, "square": 2, "line": 4, "ellipse": 6, "path": 2}
 STEPS = 4
@@ -160,6 +162,22 @@ def test_returns_and_gates_of_a_scan_in_clutter():
         inside = np.linalg.solve([[ax, bx], [ay, by]], layers["returns by weight"][-1, s, :, :2].T)
         lengths = np.hypot(*inside)
         assert (lengths[np.isfinite(lengths)] < 1.01).all()
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("spoil", SPOILT)
+@pytest.mark.parametrize(("name", "family"), [("TwoStation", FusedEkf), ("AngleFusion", AnglePdaf)])
+def test_a_diverged_track_still_gives_a_page(name, family, spoil):
+    """Page and data hold no NaN but those that say that nothing is there."""
+    scenario = SCENARIOS[name].replace(steps=5, tracker=spoilt_later(family, SPOILT[spoil]))
+    told = record(scenario, flown(scenario, "straight"))
+    page = replay_page(environment_id(name), 3, scenario.replay_axis, {"straight": told})
+    data = page.partition('id="data">')[2].partition("</script>")[0]
+    assert "NaN" not in data
+    assert "Infinity" not in data
+    for packed in json.loads(data)["policies"][0]["views"][0]["layers"].values():
+        assert not np.isinf(np.frombuffer(base64.b64decode(packed["f32"]), dtype="<f4")).any()
+    assert np.isfinite(told.views[0].layers["true targets"]).all()
 
 
 # ------------------------------------------------------------------------------------------------ layers

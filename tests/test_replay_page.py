@@ -1,7 +1,5 @@
 """The replay's page in a real Chromium: loads, plays, scrubs, zooms, switches layers, by mouse, keyboard and touch."""
 
-import base64
-import io
 import re
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import DESKTOP, PHONE, Page
-from PIL import Image
 
 from agents.policy import make_policy, policy_names
 from agents.replay import write_replay
@@ -104,7 +101,7 @@ def test_every_environment_is_drawn(chromium, tmp_path, name):
     drawn = {text.split("<br>")[0] for text in hovers(page)}
     expected = {name for layer in ("platforms", "true targets", "estimates") for name in told.views[0].names[layer]}
     assert {f"<b>{name}</b>" for name in expected} <= drawn
-    assert_not_blank(page)
+    assert page.is_drawn()
 
 
 # ------------------------------------------------------------------------------------------------ what it shows
@@ -325,25 +322,12 @@ def ranges(page: Page, plot: int) -> list[list[float]]:
 # ------------------------------------------------------------------------------------------------ looks
 
 
-def screenshot(page: Page) -> np.ndarray:
-    content = base64.b64decode(page.driver.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"])
-    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-
-
-def assert_not_blank(page: Page) -> None:
-    pixels = screenshot(page)
-    background = pixels[-1, 0]
-    drawn = (pixels != background).any(-1)
-    assert 0.01 < drawn.mean() < 0.5
-    assert len(np.unique(pixels.astype(int) @ [65536, 256, 1])) > 100
-
-
 @pytest.mark.parametrize(("size", "touch"), [(DESKTOP, False), (PHONE, True), ((320, 640), True)])
 def test_fits_the_screen_and_is_not_blank(chromium, two_station, size, touch):
     page = Page(chromium, two_station[0], READY, size, touch)
     page.run("seek(6)")
     assert page.value("document.documentElement.scrollWidth") <= size[0]
-    assert_not_blank(page)
+    assert page.is_drawn()
     lefts = page.value("Array.from(document.querySelectorAll('#maps article'), (a) => a.getBoundingClientRect().left)")
     assert len(set(lefts)) == (2 if size == DESKTOP else 1)  # side by side, or below each other
     smallest = page.value("Math.min(...Array.from(document.querySelectorAll('button'), (b) => b.offsetHeight))")
@@ -355,7 +339,7 @@ def test_follows_a_dark_screen(chromium, two_station):
     chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", dark)
     try:
         page = Page(chromium, two_station[0], READY)
-        assert screenshot(page).mean() < 80
+        assert page.screenshot().mean() < 80
         assert page.complaints() == []
     finally:
         chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
