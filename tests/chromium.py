@@ -1,12 +1,16 @@
 """Chromium without a window, driven by selenium: for tests of pages made by the package."""
 
+import base64
+import io
 import os
 import shutil
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 REQUIRED = "PASSIVE_ENV_BROWSER"
 """Where this environment variable is "required", a missing browser fails tests instead of skipping them."""
@@ -53,9 +57,7 @@ class Page:
         touch: whether to pose as a phone.
     """
 
-    def __init__(
-        self, driver: Any, path: Path, size: tuple[int, int] = DESKTOP, ready: str = "true", touch: bool = False
-    ):
+    def __init__(self, driver: Any, path: Path, ready: str, size: tuple[int, int] = DESKTOP, touch: bool = False):
         self.driver = driver
         driver.get("about:blank")
         driver.get_log("browser")  # what an earlier page said
@@ -94,6 +96,17 @@ class Page:
         from selenium.webdriver.common.action_chains import ActionChains
 
         ActionChains(self.driver).send_keys(*keys).perform()
+
+    def screenshot(self) -> np.ndarray:
+        """Pixels of the window, uint8 [h, w, 3]."""
+        shot = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(shot))).convert("RGB"))
+
+    def is_drawn(self) -> bool:
+        """Whether the window shows more than a background and a few words."""
+        pixels = self.screenshot().astype(int) @ [65536, 256, 1]
+        share = (pixels != pixels[-1, 0]).mean()
+        return 0.01 < share < 0.5 and len(np.unique(pixels)) > 100
 
     def complaints(self) -> list[str]:
         """Warnings and errors in the console since the last look."""
