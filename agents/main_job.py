@@ -18,10 +18,10 @@ from agents.run_report import REPORT, Comparison, Settings, command_line, compar
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 HELD_OUT = "held-out"
-LEARNED = "learned"
-"""Name of policies that were trained, in tables."""
 FINAL_SEED = 30_000_000
 """Seed of the first episode of final evaluations."""
+TRAINED = "learned"
+"""Name of policies that were trained here, in tables."""
 
 
 def train_and_compare(
@@ -43,8 +43,8 @@ def train_and_compare(
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
     policies = (*_standard_policies(name, fields), str(folder))
     flown = [
-        *_compared(name, policies, (), episodes, FINAL_SEED, None, folder, fields, LEARNED),
-        *_compared(name, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields, LEARNED),
+        *_compared(name, policies, (), episodes, FINAL_SEED, None, folder, fields, TRAINED),
+        *_compared(name, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields, TRAINED),
     ]
     write_run_report(folder, _trained(run, episodes, flights), flown)
     print(f"\n{folder / REPORT}")
@@ -165,7 +165,7 @@ def _check_numbers(episodes: int, seed: int) -> None:
 
 def _make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     known = [*policy_names(scenario), PRETRAINED]
-    labels = unique_names([name if name in known else LEARNED for name in names])
+    labels = unique_names([name if name in known else TRAINED for name in names])
     return {
         label: _make_policy(name, scenario_name_, scenario, known) for label, name in zip(labels, names, strict=True)
     }
