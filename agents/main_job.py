@@ -121,14 +121,16 @@ def _compared(
         folder = out / tracker if len(scenarios) > 1 else out
         write_evaluation(folder, summary, records, scenario)
         print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
-        flown.append(comparison(_heading(scenario, len(scenarios) > 1), summary, records, scenario, focus))
+        flown.append(comparison(_heading(scenario, flights, len(scenarios) > 1), summary, records, scenario, focus))
     return flown
 
 
-def _heading(scenario: Any, crossed: bool) -> str:
+def _heading(scenario: Any, flights: str | None, crossed: bool) -> str:
     """What was compared, in words."""
     if crossed:
         return f"Tracker {scenario.tracker}"
+    if flights is not None:
+        return "Held-out recorded flights" if flights == HELD_OUT else f"Recorded flights of {Path(flights).name}"
     return {"random": "Drawn courses", "flights": "Recorded flights"}.get(scenario.course, f"Course {scenario.course}")
 
 
