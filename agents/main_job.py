@@ -20,10 +20,10 @@ from agents.run_report import REPORT, Comparison, Settings, command_line, compar
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 HELD_OUT = "held-out"
-LEARNED = "learned"
-"""Name of policies that were trained, in tables; in replays the pretrained policy's."""
 FINAL_SEED = 30_000_000
 """Seed of the first episode of final evaluations."""
+TRAINED = "learned"
+"""Name of policies that were trained, in tables; in replays the pretrained policy's."""
 
 
 def train_and_compare(
@@ -52,8 +52,8 @@ def train_and_compare(
     print(f"trained in {time.perf_counter() - begin:.0f} s; run folder {folder}")
     policies = (*_standard_policies(name, fields), str(folder))
     flown = [
-        *_compared(name, policies, (), episodes, FINAL_SEED, None, folder, fields, LEARNED),
-        *_compared(name, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields, LEARNED),
+        *_compared(name, policies, (), episodes, FINAL_SEED, None, folder, fields, TRAINED),
+        *_compared(name, policies, (), episodes, FINAL_SEED, flights, folder / "flights", fields, TRAINED),
     ]
     write_run_report(folder, _trained(run, episodes, flights), flown)
     print(f"\n{folder / REPORT}")
@@ -132,14 +132,16 @@ def _compared(
             folder = out / tracker if len(scenarios) > 1 else out
             write_evaluation(folder, summary, records, scenario)
             print(f"\n{folder}{f' (tracker {tracker})' if tracker else ''}\n\n{as_markdown(summary)}")
-            flown.append(comparison(_heading(scenario, len(scenarios) > 1), summary, records, scenario, focus))
+            flown.append(comparison(_heading(scenario, flights, len(scenarios) > 1), summary, records, scenario, focus))
     return flown
 
 
-def _heading(scenario: Any, crossed: bool) -> str:
+def _heading(scenario: Any, flights: str | None, crossed: bool) -> str:
     """What was compared, in words."""
     if crossed:
         return f"Tracker {scenario.tracker}"
+    if flights is not None:
+        return "Held-out recorded flights" if flights == HELD_OUT else f"Recorded flights of {Path(flights).name}"
     return {"random": "Drawn courses", "flights": "Recorded flights"}.get(scenario.course, f"Course {scenario.course}")
 
 
@@ -178,7 +180,7 @@ def check_numbers(episodes: int, seed: int) -> None:
 def make_policies(names: Sequence[str], scenario_name_: str, scenario: Any) -> dict[str, Policy]:
     """Policies by the names they have in tables; see `named_policy`."""
     known = [*policy_names(scenario), PRETRAINED]
-    labels = unique_names([name if name in known else LEARNED for name in names])
+    labels = unique_names([name if name in known else TRAINED for name in names])
     return {label: named_policy(name, scenario_name_, scenario) for label, name in zip(labels, names, strict=True)}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from agents.animation import check_animation, write_animation
 from agents.learned import is_trained
-from agents.main_job import LEARNED, check_numbers, fitting_pretrained, flown_by, make_policies
+from agents.main_job import TRAINED, check_numbers, fitting_pretrained, flown_by, make_policies
 from agents.policy import policy_names
 from agents.pretrained import PRETRAINED
 from agents.replay import plotly_script, write_replay
@@ -48,7 +48,7 @@ def _shown(policies: Sequence[str] | None, name: str, fields: dict[str, Any]) ->
     if policies is not None:
         if not policies:
             raise ValueError("no policies to show: name some after --policies")
-        return [PRETRAINED if each == LEARNED and not is_trained(each) else each for each in policies]
+        return [PRETRAINED if each == TRAINED and not is_trained(each) else each for each in policies]
     known = policy_names(make_scenario(name, fields))
     baseline = next(each for each in ("paper", "fixed", "straight", *known) if each in known)
     return [baseline, *(["rule"] if "rule" in known else []), *fitting_pretrained(name, fields)]

@@ -99,25 +99,25 @@ class Settings(NamedTuple):
 def write_run_report(out: Path, asked: Settings, comparisons: Sequence[Comparison]) -> Path:
     """Write ``report.html`` into a folder, whole or not at all; returns the file."""
     first = comparisons[0]
-    chapters = {each.heading: each.body for each in comparisons}
-    if asked.folder is not None:
-        chapters["Learning curves"] = _learning(asked.folder)
-    chapters["Configuration"] = _configuration(asked, comparisons)
-    chapters["How to repeat it"] = _repeating(asked)
-    places = {heading: f"part-{i}" for i, heading in enumerate(chapters, 1)}
-    links = "".join(f'<li><a href="#{place}">{_text(heading)}</a></li>' for heading, place in places.items())
+    chapters = [
+        *((each.heading, each.body) for each in comparisons),
+        *([("Learning curves", _learning(asked.folder))] if asked.folder is not None else []),
+        ("Configuration", _configuration(asked, comparisons)),
+        ("How to repeat it", _repeating(asked)),
+    ]
+    links = "".join(f'<li><a href="#part-{i}">{_text(heading)}</a></li>' for i, (heading, _) in enumerate(chapters, 1))
     body = [
         f'<div class="run"><header><h1>{_text(asked.title)}</h1>{_findings(comparisons)}',
         f'{_tiles({**first.tiles, **asked.tiles})}<nav aria-label="Parts of this report"><ul>{links}</ul></nav>',
         f"</header>{asked.preface}",
-        *(
-            f'<section aria-labelledby="{places[heading]}"><h2 id="{places[heading]}">{_text(heading)}</h2>{content}'
-            "</section>"
-            for heading, content in chapters.items()
-        ),
+        *(_chapter(f"part-{i}", *chapter) for i, chapter in enumerate(chapters, 1)),
         "</div>",
     ]
     return write_text(out / REPORT, shell(asked.title, "\n".join(body)))
+
+
+def _chapter(place: str, heading: str, content: str) -> str:
+    return f'<section aria-labelledby="{place}"><h2 id="{place}">{_text(heading)}</h2>{content}</section>'
 
 
 # -- a comparison ------------------------------------------------------------------------------------------------------
@@ -192,10 +192,10 @@ def _finding(summary: Mapping[str, Any], metric: str, base: str, focus: str) -> 
     ratio = summary["ratios"][base][focus][metric]
     judged = verdict(ratio["ci95"])
     rival = "the next baseline" if focus in summary["ratios"] else "the strongest baseline"
-    return (
-        f"{said}. That is {ratio_words(ratio)} times the error of <code>{_text(base)}</code>, {rival}: "
-        f'<span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
-    )
+    beside = f"That is {ratio_words(ratio)} times the error of <code>{_text(base)}</code>, {rival}"
+    if summary["episodes"] < 2:
+        return f"{said}. {beside}, in a single episode."
+    return f'{said}. {beside}: <span class="{judged}">{VERDICT_WORDS[judged]}</span>.'
 
 
 def _least(summary: Mapping[str, Any], metric: str) -> str:
@@ -270,7 +270,7 @@ def _error_over_time(records: Mapping[str, Record], scenario: Any, score: str) -
     alt = f"Mean {score} error over {times[-1]:g} s, logarithmic. At the end: {ends}."
     caption = "Averaged over targets and episodes; dashed: the bound of the geometry flown."
     if len(records) > CARDS:
-        caption += f" All {len(records)} policies: {score}_error_over_time.png beside this page."
+        caption += f" {len(records) - CARDS} more policies stand in the table only."
     return f"<h3>Error over time</h3>{_picture(figure, alt, caption)}"
 
 

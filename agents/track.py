@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 
 from agents.files import make_folder, save_figure, write_json, write_text
 from agents.main_job import named_policy
@@ -22,7 +23,6 @@ from agents.track_files import Track, advice_csv, advice_table, summary, track_c
 from agents.track_pictures import fit_picture, track_picture
 from agents.track_sample import SAMPLE_GUESS, sample_path
 from passive_env.catalogue import make_scenario, scenario_name
-from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from passive_env.replay import AngleReplay, BearingReplay, FixReplay, Replay, SumReplay, first_scan
 from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 

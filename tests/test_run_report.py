@@ -122,6 +122,27 @@ def test_without_a_focus_the_best_policy_is_told_beside_the_next_baseline():
     assert "0.500 [0.500, 0.500] times the error of <code>rule</code>, the next baseline" in finding
 
 
+def test_a_single_episode_is_judged_by_nobody():
+    records = {
+        name: record(factor * BASE[:1] * np.ones((1, STEPS + 1))) for name, factor in (("rule", 1.0), ("x", 2.0))
+    }
+    finding = made(records, "x").finding
+    assert finding.endswith(
+        "2.000 [2.000, 2.000] times the error of <code>rule</code>, the strongest baseline, in a single episode."
+    )
+    assert "behind" not in finding
+
+
+def test_comparisons_of_one_name_are_chapters_of_their_own(tmp_path):
+    page = Page(
+        write_run_report(tmp_path, asked(), [made(flown()), made(flown(paper=2.0))]).read_text(encoding="utf-8")
+    )
+    assert [rows[0] for rows in page.tables].count(
+        ["policy", "final", "p95, final", "time average", "bound", "lost"]
+    ) == 1
+    assert len([head for head, *_ in page.tables if head[:2] == ["policy", "final"]]) == 2
+
+
 def test_a_single_policy_is_compared_with_nothing():
     only = made(flown())
     assert only.finding == f"<code>rule</code> has a mean range error at the end: {1e-3 * BASE.mean():.2f} km."

@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 import pymap3d
 import pytest
+from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 
 from agents import cli
 from agents.policy import make_policy
 from agents.track import FAMILIES, find_family, follow, open_replay
 from agents.track_files import advice_rows, summary, track_csv
 from agents.track_sample import SAMPLE_GUESS, SAMPLES, fly_episode, sample_path, write_episode
-from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from passive_env.recording_file import RecordingError
 from passive_env.replay import paced
 from trackers import AdaptiveRpEkf, AnglePdaf, Imm3, ImmMie, RangeSumEkf, RpEkf, Scan

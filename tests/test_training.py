@@ -146,7 +146,7 @@ def test_the_train_command_trains_and_compares(tmp_path, capsys, monkeypatch):
         assert {path.name for path in folder.glob("evaluation.*")} == {f"evaluation.{s}" for s in ("json", "csv", "md")}
     text = (out / "report.html").read_text(encoding="utf-8")
     assert re.findall(r"<h2[^>]*>(.*?)</h2>", text) == [
-        "Drawn courses", "Recorded flights", "Learning curves", "Configuration", "How to repeat it",
+        "Drawn courses", "Held-out recorded flights", "Learning curves", "Configuration", "How to repeat it",
     ]  # fmt: skip
     assert "return of an episode:" in text
     (command,) = re.findall(r"<pre><code>(.*?)</code></pre>", text)
