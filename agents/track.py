@@ -1,6 +1,6 @@
 """Trackers on a user's own recordings: the job behind ``passive-env track``.
 
-file → recording → scenario of the fitting environment → replay → track.csv, track.json, track.png, fit.png
+file → recording → scenario of the fitting environment → playback → track.csv, track.json, track.png, fit.png
                                                             └→ a policy's advice per instant, advice.csv
 """
 
@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 
 from agents.files import make_folder, save_figure, write_json, write_text
 from agents.main_job import named_policy
@@ -23,7 +22,8 @@ from agents.track_files import Track, advice_csv, advice_table, summary, track_c
 from agents.track_pictures import fit_picture, track_picture
 from agents.track_sample import SAMPLE_GUESS, sample_path
 from passive_env.catalogue import make_scenario, scenario_name
-from passive_env.replay import AngleReplay, BearingReplay, FixReplay, Replay, SumReplay, first_scan
+from passive_env.playback import AnglePlayback, BearingPlayback, FixPlayback, Playback, SumPlayback, first_scan
+from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 
 SAMPLE = "sample"
@@ -38,7 +38,7 @@ class Family:
         usual: tracker that the family's name stands for.
         trackers: all of them.
         read: file and origin to recording.
-        replay: its class.
+        playback: its class.
         environment: by the recording and the tracker's name.
         fields: of the scenario, by the recording.
     """
@@ -46,7 +46,7 @@ class Family:
     usual: str
     trackers: Mapping[str, Any]
     read: Callable[..., Any]
-    replay: Callable[..., Any]
+    playback: Callable[..., Any]
     environment: Callable[[Any, str], str]
     fields: Callable[[Any], dict[str, Any]]
 
@@ -81,16 +81,18 @@ def _pool(recording: Any) -> dict[str, Any]:
 
 FAMILIES = {
     "rp-ekf": Family(
-        "rp_ekf", TRACKERS, read_bearings, BearingReplay, _bearing_environment, lambda r: {"targets": _targets(r)}
+        "rp_ekf", TRACKERS, read_bearings, BearingPlayback, _bearing_environment, lambda r: {"targets": _targets(r)}
     ),
     "angle-fusion": Family(
-        "angle_pdaf", ANGLE_TRACKERS, read_angles, AngleReplay, lambda r, t: "AngleFusion", lambda r: {}
+        "angle_pdaf", ANGLE_TRACKERS, read_angles, AnglePlayback, lambda r, t: "AngleFusion", lambda r: {}
     ),
     "imm-mie": Family(
-        "imm_mie", MANEUVER_TRACKERS, read_azimuths, FixReplay, lambda r, t: "ManeuveringTarget",
+        "imm_mie", MANEUVER_TRACKERS, read_azimuths, FixPlayback, lambda r, t: "ManeuveringTarget",
         lambda r: {"stations": len(r.stations)},
     ),
-    "passive-radar": Family("ekf", RANGE_SUM_TRACKERS, read_range_sums, SumReplay, lambda r, t: "PassiveRadar", _pool),
+    "passive-radar": Family(
+        "ekf", RANGE_SUM_TRACKERS, read_range_sums, SumPlayback, lambda r, t: "PassiveRadar", _pool
+    ),
 }  # fmt: skip
 """Kinds of recordings by the name of their tracker."""
 
@@ -117,14 +119,14 @@ def find_family(tracker: str) -> tuple[str, str]:
     raise ValueError(f"--tracker {tracker!r}: must be one of {', '.join(track_names())}{hint}")
 
 
-def open_replay(
+def open_playback(
     file: str | Path, tracker: str, environment: str | None = None, fields: Mapping[str, Any] | None = None,
     reference: str | None = None, origin: Sequence[float] | None = None, guess: Sequence[float] | None = None,
-) -> tuple[str, Replay]:  # fmt: skip
+) -> tuple[str, Playback]:  # fmt: skip
     """A recording in front of its tracker; arguments as of `run`.
 
     Returns:
-        name of the environment whose scenario is used, and the replay.
+        name of the environment whose scenario is used, and the playback.
     """
     title, name = find_family(tracker)
     family, fields = FAMILIES[title], dict(fields or {})
@@ -143,7 +145,7 @@ def open_replay(
     _check_fields(fields, own)
     scenario = make_scenario(environment, {"step_s": usual_step_s(recording)} | own | fields | {"tracker": name})
     more = () if start is None else (start,)
-    return environment, family.replay(scenario, recording, *more)
+    return environment, family.playback(scenario, recording, *more)
 
 
 def usual_step_s(recording: Any) -> float:
@@ -243,12 +245,12 @@ def run(
     Raises:
         ValueError, OSError: bad input; nothing has been written then.
     """
-    name, replay = open_replay(file, tracker, environment, fields, reference, origin, guess)
-    pilot = None if policy is None else _pilot(policy, name, replay)
+    name, playback = open_playback(file, tracker, environment, fields, reference, origin, guess)
+    pilot = None if policy is None else _pilot(policy, name, playback)
     make_folder(out)
-    track = follow(replay, pilot)
+    track = follow(playback, pilot)
     write_text(out / "track.csv", track_csv(track))
-    told = {"environment": f"passive/{name}-v0", "tracker": replay.scenario.tracker, "policy": policy}
+    told = {"environment": f"passive/{name}-v0", "tracker": playback.scenario.tracker, "policy": policy}
     write_json(out / "track.json", told | summary(track))
     save_figure(out / "track.png", track_picture(track))
     save_figure(out / "fit.png", fit_picture(track))
@@ -260,28 +262,28 @@ def run(
     return track
 
 
-def follow(replay: Replay, pilot: Any = None) -> Track:
+def follow(playback: Playback, pilot: Any = None) -> Track:
     """A tracker's whole way through a recording, with a policy's commands at every instant if there is one."""
     moments, commands = [], []
-    for moment in replay.moments():
+    for moment in playback.moments():
         if pilot is not None:
-            belief = replay.belief(moment.world)
+            belief = playback.belief(moment.world)
             if not moments:
                 pilot.reset(belief)
-            commands.append(np.array(pilot.act(belief, replay.observe(belief))[0], dtype=float))
+            commands.append(np.array(pilot.act(belief, playback.observe(belief))[0], dtype=float))
         moments.append(moment)
-    return Track(replay, moments, np.array(commands))
+    return Track(playback, moments, np.array(commands))
 
 
-def _pilot(policy: str, name: str, replay: Replay) -> Any:
+def _pilot(policy: str, name: str, playback: Playback) -> Any:
     """A policy that can steer the recording's platforms.
 
     Raises:
         ValueError: an unknown policy, one of another environment, one that looks at the truth, or a recording of
             another number of stations or targets than the environment has.
     """
-    scenario = replay.scenario
-    stations = len(replay.recording.stations)
+    scenario = playback.scenario
+    stations = len(playback.recording.stations)
     if stations != scenario.stations:
         raise ValueError(
             f"--policy {policy}: policies of passive/{name}-v0 steer {scenario.stations} stations, the recording has "

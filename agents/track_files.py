@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from passive_env.replay import Moment, Replay
+from passive_env.playback import Moment, Playback
 
 AXES = {2: ("east", "north"), 3: ("east", "north", "up")}
 
@@ -22,19 +22,19 @@ class Track:
     """A tracker's way through a recording; k instants, m tracks, d coordinates.
 
     Attributes:
-        replay: recording and settings.
+        playback: recording and settings.
         moments: [k] from the tracks' start on.
         commands: [k, a] a policy's, at every instant; [0] without a policy.
     """
 
-    replay: Replay
+    playback: Playback
     moments: list[Moment]
     commands: np.ndarray
 
     @cached_property
     def time_s(self) -> np.ndarray:
         """[k] s."""
-        return self.replay.recording.time_s[self.moments[0].index :]
+        return self.playback.recording.time_s[self.moments[0].index :]
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -58,7 +58,7 @@ class Track:
         σ² = uᵀ P u, u the unit vector of the line of sight.
         """
         d = self.mean.shape[-1] // 2
-        line = self.mean[..., :d] - self.platforms[:, None, self.replay.scenario.reference, :d]
+        line = self.mean[..., :d] - self.platforms[:, None, self.playback.scenario.reference, :d]
         distance = np.linalg.norm(line, axis=-1)
         along = line / np.maximum(distance, 1.0)[..., None]
         variance = np.einsum("kmi,kmij,kmj->km", along, self.cov[..., :d, :d], along)
@@ -75,7 +75,7 @@ class Track:
     @cached_property
     def on_earth(self) -> np.ndarray | None:
         """Latitude, longitude [deg] and in space height [m], [k, m, d]; None where the recording has metres."""
-        frame, d = self.replay.recording.frame, self.mean.shape[-1] // 2
+        frame, d = self.playback.recording.frame, self.mean.shape[-1] // 2
         if frame is None:
             return None
         places = np.moveaxis(self.mean[..., :d], -1, 0)
@@ -146,7 +146,7 @@ def _state_names(d: int) -> list[str]:
 
 def _used(track: Track, used: np.ndarray) -> str:
     """Names of the stations, or transmitters, whose measurements updated a track."""
-    recording = track.replay.recording
+    recording = track.playback.recording
     names = getattr(recording, "names", recording.stations)
     return " ".join(name for name, told in zip(names, used, strict=True) if told)
 
@@ -156,7 +156,7 @@ def _used(track: Track, used: np.ndarray) -> str:
 
 def summary(track: Track) -> dict[str, Any]:
     """The track as plain data: what was read, settings, how well scans fit, where tracks end."""
-    replay, recording = track.replay, track.replay.recording
+    playback, recording = track.playback, track.playback.recording
     nis, degrees = track.fits
     first, last = track.moments[0].index, len(recording.time_s)
     return {
@@ -167,11 +167,11 @@ def summary(track: Track) -> dict[str, Any]:
         "instants": last,
         "duration_s": float(recording.time_s[-1] - recording.time_s[0]),
         "start_s": float(track.time_s[0]),
-        "step_s": replay.scenario.step_s,
-        "missing_scans": sum(replay.parts(index) - 1 for index in range(first + 1, last)),
+        "step_s": playback.scenario.step_s,
+        "missing_scans": sum(playback.parts(index) - 1 for index in range(first + 1, last)),
         "tracks": track.mean.shape[1],
         "origin": None if recording.frame is None else _origin(recording.frame),
-        "scenario": replay.scenario.to_dict(),
+        "scenario": playback.scenario.to_dict(),
         "nis_per_degree_band95": _band(degrees.sum() / max(degrees.shape[1], 1)),
         "final": [_final(track, j, nis[:, j], degrees[:, j]) for j in range(track.mean.shape[1])],
         "course": {
@@ -208,7 +208,7 @@ def _final(track: Track, j: int, nis: np.ndarray, degrees: np.ndarray) -> dict[s
 def advice_rows(track: Track) -> list[dict[str, Any]]:
     """A row per instant: what the policy would do next."""
     return [
-        {"time_s": float(time_s)} | track.replay.maneuver(command)
+        {"time_s": float(time_s)} | track.playback.maneuver(command)
         for time_s, command in zip(track.time_s, track.commands, strict=True)
     ]
 

@@ -56,13 +56,13 @@ def fit_picture(track: Track) -> Figure:
 
 
 def _title(track: Track) -> str:
-    name = str(track.replay.recording.source).replace("\\", "/").rsplit("/", 1)[-1]
-    return f"{name}, tracker {track.replay.scenario.tracker}"
+    name = str(track.playback.recording.source).replace("\\", "/").rsplit("/", 1)[-1]
+    return f"{name}, tracker {track.playback.scenario.tracker}"
 
 
 def _sites(track: Track) -> np.ndarray:
     """Transmitters [n, 2] m; none where there are no such."""
-    recording = track.replay.recording
+    recording = track.playback.recording
     return recording.transmitters[:, :2] if hasattr(recording, "transmitters") else np.empty((0, 2))
 
 
@@ -77,11 +77,11 @@ def _frame(track: Track) -> artists.Frame:
 
 
 def _draw_platforms(axes: Axes, track: Track, frame: artists.Frame) -> None:
-    recording, d = track.replay.recording, track.platforms.shape[-1] // 2
+    recording, d = track.playback.recording, track.platforms.shape[-1] // 2
     paths = track.platforms[..., :2]
     artists.add_lines(axes, [INK], 1.4, alpha=0.75).set_segments(list(1e-3 * np.swapaxes(paths, 0, 1)))
     places = track.platforms[-1][:, [0, 1, d, d + 1]]
-    reference = track.replay.scenario.reference % len(places)
+    reference = track.playback.scenario.reference % len(places)
     several = len(places) > 1
     names = [f"{n} (ref.)" if several and i == reference else n for i, n in enumerate(recording.stations)]
     notes = [artists.name_tag(axes, name, INK) for name in names]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from passive_env.extras import needs
 from passive_env.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -29,12 +30,7 @@ def parallel_env(
     Raises:
         ImportError: PettingZoo is not installed; ValueError: bad values, or fewer than two steered platforms.
     """
-    try:
-        from passive_env.pettingzoo_env import PassiveParallelEnv
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "pettingzoo":
-            raise
-        raise ImportError(
-            'parallel_env needs PettingZoo: python -m pip install "passive-env[pettingzoo]"', name="pettingzoo"
-        ) from error
+    needs("pettingzoo", "pettingzoo")
+    from passive_env.pettingzoo_env import PassiveParallelEnv
+
     return PassiveParallelEnv(env_id, view, reward, render_mode, **fields)

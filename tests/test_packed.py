@@ -21,7 +21,7 @@ from agents.networks import describe, rebuild
 from agents.pack import Both, pack
 from agents.packed import LARGEST, MOST_BYTES, MOST_MEMBERS, read_packed, write_packed
 from agents.sb3 import Sb3VecEnv
-from agents.training import TRAINING, _flown, new_model, plan, train, training_seconds
+from agents.training import TRAINING, flown, new_model, plan, train, training_seconds
 from agents.transmitter_network import NETWORK
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue import environment_id, make_scenario
@@ -45,7 +45,7 @@ def model_of(kind: str, tmp_path: Path):
     run = plan(name, tmp_path, algo, envs=2, timesteps=1, fields=fields)
     run.preset.pop("imitation", None)
     env = Sb3VecEnv(PassiveVectorEnv(run.training_scenario, num_envs=2, autoreset_mode="same_step"), run.asymmetric)
-    model: Any = _flown(new_model(run, env))
+    model: Any = flown(new_model(run, env))
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
         for parameter in model.policy.parameters():

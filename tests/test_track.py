@@ -13,11 +13,11 @@ from passive_env.recording import read_angles, read_azimuths, read_bearings, rea
 
 from agents import cli
 from agents.policy import make_policy
-from agents.track import FAMILIES, find_family, follow, open_replay
+from agents.track import FAMILIES, find_family, follow, open_playback
 from agents.track_files import advice_rows, summary, track_csv
 from agents.track_sample import SAMPLE_GUESS, SAMPLES, fly_episode, sample_path, write_episode
+from passive_env.playback import paced
 from passive_env.recording_file import RecordingError
-from passive_env.replay import paced
 from trackers import AdaptiveRpEkf, AnglePdaf, Imm3, ImmMie, RangeSumEkf, RpEkf, Scan
 from trackers.gaussian import Gaussian
 from trackers.rp_ekf import Bank, predict
@@ -35,7 +35,7 @@ def episode(tracker):
 def opened(tracker, file, **more):
     told = {name: value for name, value in SAMPLES[tracker].fields.items() if name not in UNSEEN}
     told |= {"steps": SAMPLES[tracker].fields["steps"]} if "steps" in SAMPLES[tracker].fields else {}
-    return open_replay(file, tracker, fields=told | more, guess=episode(tracker).guess)[1]
+    return open_playback(file, tracker, fields=told | more, guess=episode(tracker).guess)[1]
 
 
 def write(folder, text, name="file.csv"):
@@ -51,8 +51,8 @@ def write(folder, text, name="file.csv"):
 def test_simulated_then_written_then_tracked_is_the_environments_track(tracker, tmp_path):
     flown = episode(tracker)
     file = write_episode(tmp_path / "file.csv", tracker, flown, radians=True)
-    replay = opened(tracker, file)
-    track = follow(replay, make_policy(SAMPLES[tracker].policy, replay.scenario))
+    playback = opened(tracker, file)
+    track = follow(playback, make_policy(SAMPLES[tracker].policy, playback.scenario))
     assert np.array_equal(track.mean, np.concatenate([belief.mean for belief in flown.beliefs]))
     assert np.array_equal(track.cov, np.concatenate([belief.cov for belief in flown.beliefs]))
     assert track.commands[:-1] == pytest.approx(np.concatenate(flown.commands), abs=1e-9)
@@ -64,8 +64,8 @@ def test_simulated_then_written_then_tracked_is_the_environments_track(tracker, 
 def test_beliefs_are_those_of_the_environment(tracker, tmp_path):
     """All that a policy may see; what it commanded last is found from how the platforms flew."""
     flown = episode(tracker)
-    replay = opened(tracker, write_episode(tmp_path / "file.csv", tracker, flown, radians=True))
-    beliefs = [replay.belief(moment.world) for moment in replay.moments()]
+    playback = opened(tracker, write_episode(tmp_path / "file.csv", tracker, flown, radians=True))
+    beliefs = [playback.belief(moment.world) for moment in playback.moments()]
     for ours, theirs in zip(beliefs[:-1], flown.beliefs[:-1], strict=True):
         for name in ours._fields:
             mine, wanted = getattr(ours, name), getattr(theirs, name)
@@ -94,14 +94,14 @@ def test_clutter_delays_and_moving_receivers_come_back_too(tracker, environment,
     flown = fly_episode(environment, fields, policy, 11)
     file = write_episode(tmp_path / "file.csv", tracker, flown, radians=True)
     told = {name: value for name, value in fields.items() if name != "tracker"}
-    _, replay = open_replay(file, tracker, environment, told, guess=flown.guess)
-    track = follow(replay, make_policy(policy, replay.scenario))
+    _, playback = open_playback(file, tracker, environment, told, guess=flown.guess)
+    track = follow(playback, make_policy(policy, playback.scenario))
     assert np.array_equal(track.mean, np.concatenate([belief.mean for belief in flown.beliefs]))
     assert np.array_equal(track.cov, np.concatenate([belief.cov for belief in flown.beliefs]))
     assert track.commands[:-1] == pytest.approx(np.concatenate(flown.commands), abs=1e-9)
     turns = slice(0, 1 if environment == "MobileReceiver" else 0 if tracker == "passive-radar" else None)
     for moment, theirs in zip(track.moments[:-1], flown.beliefs[:-1], strict=True):
-        ours = replay.belief(moment.world)
+        ours = playback.belief(moment.world)
         assert ours.last_action[:, turns] == pytest.approx(theirs.last_action[:, turns], abs=2e-6)
         others = [name for name in ours._fields if name not in ("last_action", "track_state")]
         for name in others:
@@ -156,7 +156,7 @@ def test_an_instant_left_out_is_a_scan_that_everybody_missed(tmp_path):
     empty = [[*row[:at], "", *row[at + 1 :]] if row[0] in gone else row for row in body]
     left = [row for row in body if row[0] not in gone]
     texts = ["\n".join([head, *(",".join(row) for row in part)]) for part in (empty, left)]
-    tracks = [follow(open_replay(write(tmp_path, text, f"{i}.csv"), "imm-mie")[1]) for i, text in enumerate(texts)]
+    tracks = [follow(open_playback(write(tmp_path, text, f"{i}.csv"), "imm-mie")[1]) for i, text in enumerate(texts)]
     whole, short = tracks
     there = np.isin(whole.time_s, short.time_s)
     assert there.sum() == len(whole.time_s) - 3
@@ -178,7 +178,7 @@ def test_irregular_times_predict_with_the_time_that_passed(tmp_path):
         for name, x, angle in (("A", -5000.0, pair[0]), ("B", 9000.0, pair[1]))
         if angle is not None
     )  # fmt: skip
-    track = follow(open_replay(write(tmp_path, text), "rp-ekf", fields={"process_noise_m_s": 10.0})[1])
+    track = follow(open_playback(write(tmp_path, text), "rp-ekf", fields={"process_noise_m_s": 10.0})[1])
     tracker = RpEkf(floor_m=5e3, cap_m=2e5, process_noise=10.0)
     places, std = np.array([[[-5000.0, 0.0], [9000.0, 0.0]]]), math.radians(0.5)
 
@@ -312,8 +312,8 @@ def test_a_file_of_latitudes_gives_the_track_of_the_file_of_metres(tmp_path):
         text += f"{row['time_s']},{row['station']},{bearing},{lat!r},{lon!r},{height!r},"
         text += f"{row['velocity_east_m_s']},{row['velocity_north_m_s']}\n"
     text = text.replace("np.float64(", "").replace(")", "")
-    flat = follow(open_replay("sample", "imm-mie")[1])
-    round_ = follow(open_replay(write(tmp_path, text), "imm-mie", origin=origin)[1])
+    flat = follow(open_playback("sample", "imm-mie")[1])
+    round_ = follow(open_playback(write(tmp_path, text), "imm-mie", origin=origin)[1])
     late = slice(5, None)
     assert round_.mean[late, 0, :2] == pytest.approx(flat.mean[late, 0, :2] + (40e3, 30e3), abs=2.0)
     lat, lon = round_.on_earth[-1, 0]
@@ -432,7 +432,7 @@ def test_bad_rows_of_other_trackers_are_refused(read, text, words, tmp_path):
 )  # fmt: skip
 def test_what_does_not_fit_together_is_refused(tracker, text, more, words, tmp_path):
     with pytest.raises((ValueError, TypeError), match=words):
-        open_replay(write(tmp_path, text), tracker, **more)
+        open_playback(write(tmp_path, text), tracker, **more)
 
 
 def test_too_few_scans_for_a_start_on_range_sums(tmp_path):
@@ -440,7 +440,7 @@ def test_too_few_scans_for_a_start_on_range_sums(tmp_path):
         f"{t},{n},9e4,0,0,{x},{y}\n" for t in range(3) for n, x, y in (("T", 9e3, 0), ("U", 0, 9e3), ("V", 5e3, -9e3))
     )
     with pytest.raises(ValueError, match="has 3 scans, a track starts from acquisition_scans = 20: take fewer"):
-        open_replay(write(tmp_path, SUM_ROWS + rows), "passive-radar", guess=(1e4, 4e4, 0.0, 0.0))
+        open_playback(write(tmp_path, SUM_ROWS + rows), "passive-radar", guess=(1e4, 4e4, 0.0, 0.0))
 
 
 def test_stations_with_different_noise_are_refused_by_the_bank(tmp_path):
@@ -449,7 +449,7 @@ def test_stations_with_different_noise_are_refused_by_the_bank(tmp_path):
     )
     text = text.replace("A,10", "A,10,1").replace("B,12", "B,12,1")
     with pytest.raises(ValueError, match="at 1 s stations differ in their bearings' standard deviation"):
-        open_replay(write(tmp_path, text), "rp-ekf")
+        open_playback(write(tmp_path, text), "rp-ekf")
 
 
 def test_trackers_go_by_their_families_names_and_their_own():
@@ -501,8 +501,8 @@ def test_command_refuses_before_it_writes(tmp_path, capsys):
 
 def test_policies_steer_as_many_stations_as_there_are(tmp_path):
     text = "time_s,azimuth_deg,elevation_deg,east_m,north_m,up_m\n0,1,2,0,0,5000\n2,1,2,0,300,5000\n4,2,,0,600,5000\n"
-    replay = open_replay(write(tmp_path, text), "angle-fusion")[1]
-    assert follow(replay).fits[1][:, 0].tolist() == [0, 2, 1]
+    playback = open_playback(write(tmp_path, text), "angle-fusion")[1]
+    assert follow(playback).fits[1][:, 0].tolist() == [0, 2, 1]
     told = ["track", str(tmp_path / "file.csv"), "--tracker", "angle-fusion", "--policy", "rule", "--out"]
     assert cli.main([*told, str(tmp_path / "out")]) == 2
     assert not (tmp_path / "out").exists()
@@ -511,12 +511,12 @@ def test_policies_steer_as_many_stations_as_there_are(tmp_path):
 def test_steps_of_times_since_1970_are_round(tmp_path):
     rows = "".join(f"{1.7e9 + 0.1 * k:.3f},A,{k},0,0\n{1.7e9 + 0.1 * k:.3f},B,{k},9,0\n" for k in range(5))
     head = "time_s,station,bearing_deg,east_m,north_m\n"
-    assert open_replay(write(tmp_path, head + rows), "imm-mie")[1].scenario.step_s == 0.1
-    assert open_replay(write(tmp_path, GOOD + "1.6,A,1,0,0\n"), "imm-mie")[1].scenario.step_s == 0.8
+    assert open_playback(write(tmp_path, head + rows), "imm-mie")[1].scenario.step_s == 0.1
+    assert open_playback(write(tmp_path, GOOD + "1.6,A,1,0,0\n"), "imm-mie")[1].scenario.step_s == 0.8
 
 
 def test_range_and_its_spread_are_those_along_the_line_of_sight(tmp_path):
-    track = follow(open_replay("sample", "imm-mie")[1])
+    track = follow(open_playback("sample", "imm-mie")[1])
     distance, std, bearing = track.sights
     line = track.mean[-1, 0, :2] - track.platforms[-1, -1, :2]
     assert distance[-1, 0] == pytest.approx(np.hypot(*line))
@@ -526,8 +526,8 @@ def test_range_and_its_spread_are_those_along_the_line_of_sight(tmp_path):
 
 
 def test_advice_of_a_radar_names_transmitters():
-    replay = opened("passive-radar", "sample")
-    track = follow(replay, make_policy("round_robin", replay.scenario))
+    playback = opened("passive-radar", "sample")
+    track = follow(playback, make_policy("round_robin", playback.scenario))
     listen = [row["listen"].split() for row in advice_rows(track)]
-    assert {name for names in listen for name in names} == set(replay.recording.names)
+    assert {name for names in listen for name in names} == set(playback.recording.names)
     assert all(len(names) == 2 for names in listen)

@@ -9,22 +9,22 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-HOW = 'python -m pip install "passive-env[ray]"'
+from passive_env.extras import needs
+
+EXTRA = "ray"
 CLUSTER = "start a cluster with 'ray start --head', or leave --address out"
 ANSWER_S = 5.0
 """An address that has not answered after so long does not."""
 
 
 def ray_module(name: str = "ray") -> Any:
-    """A module of Ray.
+    """A module that needs Ray.
 
     Raises:
-        ImportError: Ray is not installed; names the command that installs it.
+        MissingExtra: Ray is not installed; names the command that installs it.
     """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise ImportError(f"{name} cannot be imported ({error}); install it with: {HOW}") from error
+    needs("ray" if name == "ray" else "ray.rllib", EXTRA)
+    return import_module(name)
 
 
 @contextmanager

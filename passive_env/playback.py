@@ -127,7 +127,7 @@ def _power(transition: Any, share: float) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(p) for p in row / row.sum()) for row in power)
 
 
-class Replay(ABC):
+class Playback(ABC):
     """A tracker's way through a recording; holds no state of it.
 
     Args:
@@ -250,10 +250,11 @@ class Replay(ABC):
         """The world in which the tracks start."""
         check_estimate(estimate, estimate.mean.shape, self.tracker)
         tape = RecordedTape(np.empty((1, 0, 3)), transmitters)
+        platforms = self.recording.platforms[None, index]
         return World(
-            np.zeros(1, dtype=np.int64), self.recording.platforms[None, index], tape, state, estimate, reports,
+            np.zeros(1, dtype=np.int64), platforms, tape, state, estimate, reports,
             np.zeros((1, self.simulation.actions.size)), None, np.zeros_like(estimate.mean), None,
-            Violations(np.zeros(1), np.zeros(1)),
+            Violations(np.zeros(1), np.zeros(1)), platforms,
         )  # fmt: skip
 
     def _checked(self, index: int, world: World) -> World:
@@ -278,7 +279,7 @@ def _rows_used(nis: Any, degrees: Any, log_likelihood: Any, used: Any) -> Fit:
     return Fit(nis[0], np.asarray(degrees)[0], np.asarray(log_likelihood)[0], used[0])
 
 
-class BearingReplay(Replay):
+class BearingPlayback(Playback):
     """Unlabelled bearings; the last station is the reference, and its first bearings start the tracks."""
 
     def __init__(self, scenario: Any, recording: Recording):
@@ -335,7 +336,7 @@ class BearingReplay(Replay):
         return Scan(bearings, valid, r.platforms[None, index, :, :2], self._std[index])
 
 
-class AngleReplay(Replay):
+class AnglePlayback(Playback):
     """Azimuths and elevations of one target, perhaps among false returns; ranges count from the first platform."""
 
     def __init__(self, scenario: Any, recording: Recording):
@@ -402,7 +403,7 @@ class AngleReplay(Replay):
         return AngleScan(angles, valid, places, self._std[None, index], available, self._density[None, index])
 
 
-class FixReplay(Replay):
+class FixPlayback(Playback):
     """One target's bearings from stations whose lines of sight cross; the last station is the reference."""
 
     def __init__(self, scenario: Any, recording: Recording):
@@ -461,11 +462,11 @@ class FixReplay(Replay):
         return BearingScan(bearings, valid, r.platforms[None, index, :, :2], self._std[None, index])
 
 
-class SumReplay(Replay):
+class SumPlayback(Playback):
     """Range sums of one target; the track starts from several scans and an operator's guess.
 
     Args:
-        scenario, recording: as of `Replay`.
+        scenario, recording: as of `Playback`.
         guess: [2d] m, m/s, state at the first scan, its errors those of the scenario's fields.
     """
 
