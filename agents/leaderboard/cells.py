@@ -35,10 +35,13 @@ SHARES = ("lost", "collapsed", "nees", "standoff", "nogo")
 
 ROOT = Path(__file__).parents[2]
 SHOWING = (
-    "artists", "cli", "curves", "main_job", "maneuvers", "mixture", "model_card", "pack", "page", "palette", "pictures",
-    "placement_pictures", "provenance", "registration", "report", "run_report", "svg", "training", "tuning",
+    "animation", "artists", "cli", "curves", "earth_frame", "episode_arrays", "export", "layers", "main_job",
+    "maneuvers", "mixture", "model_card", "pack", "page", "palette", "parallel", "parameter_sharing",
+    "pettingzoo_env", "pictures", "placement_pictures", "playback", "provenance", "recording", "recording_file",
+    "registration", "replay", "replay_job", "replay_record", "report", "run_report", "stone_soup", "svg",
+    "team_vector_env", "track", "track_files", "track_pictures", "track_sample", "training", "tuning",
 )  # fmt: skip
-"""Modules that draw, write and train: no episode depends on them."""
+"""Modules that draw, write, train and talk to others: no episode of an evaluation depends on them."""
 
 
 @dataclass(frozen=True)
