@@ -299,7 +299,9 @@ class BearingPlayback(Playback):
         state = self.tracker.initiate(scan)
         state = map_rows(lambda part: np.ascontiguousarray(part[:, :tracks]), state)
         estimate = self.tracker.estimate(state)
-        reports = self.sensors.acquired(Sighting(_cut(scan, tracks), np.zeros_like(estimate.mean), None), state)
+        reports = self.sensors.acquired(
+            Sighting(_cut(scan, tracks), np.zeros_like(estimate.mean), np.full(scan.valid.shape, -1)), state
+        )
         return index, self._world(index, state, estimate, reports)
 
     def sighting(self, index: int, world: World, predicted: Any, heard: bool) -> Sighting:
