@@ -253,7 +253,7 @@ def tiny_run(folder: Path, rollouts: int = 3, scenario_name: str = "TwoStation",
     """A run of a few rollouts of four short episodes, with a checkpoint after each."""
     preset = copy.deepcopy(load_preset(scenario_name, algo))
     preset |= {"checkpoint_rollouts": 1}
-    preset["arguments"] |= {"n_epochs": 2, "batch_size": 12}
+    preset["arguments"] |= {"n_epochs": 2, "batch_size": 4}
     preset.pop("imitation", None)
     fields = {"steps": STEPS} if scenario_name == "TwoStation" else {}
     values = {"scenario_name": scenario_name, "fields": fields, "algo": algo, "seed": 3, "device": "cpu"}
