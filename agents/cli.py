@@ -404,10 +404,6 @@ def _list(c: List) -> None:
         print(f"{title}: {', '.join(names)}")
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 COMMANDS: dict[str, tuple[Any, Any]] = {
     "train": (Train, _train),
     "evaluate": (Evaluate, _evaluate),
@@ -422,3 +418,7 @@ COMMANDS: dict[str, tuple[Any, Any]] = {
     "list": (List, _list),
 }
 """Arguments and function of every command, by its name."""
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -79,6 +79,17 @@ def _pool(recording: Any) -> dict[str, Any]:
     return {"dimensions": d, "sites": tuple(map(tuple, sites.tolist()))}
 
 
+def _crossing(recording: Any) -> dict[str, Any]:
+    """Fields of a maneuvering target with the recording's stations.
+
+    Raises:
+        ValueError: one station, whose lines of sight never cross.
+    """
+    if len(recording.stations) < 2:
+        raise ValueError(f"{recording.source}: has one station, a fix of crossing bearings needs two or more")
+    return {"stations": len(recording.stations)}
+
+
 FAMILIES = {
     "rp-ekf": Family(
         "rp_ekf", TRACKERS, read_bearings, BearingPlayback, _bearing_environment, lambda r: {"targets": _targets(r)}
@@ -87,8 +98,7 @@ FAMILIES = {
         "angle_pdaf", ANGLE_TRACKERS, read_angles, AnglePlayback, lambda r, t: "AngleFusion", lambda r: {}
     ),
     "imm-mie": Family(
-        "imm_mie", MANEUVER_TRACKERS, read_azimuths, FixPlayback, lambda r, t: "ManeuveringTarget",
-        lambda r: {"stations": len(r.stations)},
+        "imm_mie", MANEUVER_TRACKERS, read_azimuths, FixPlayback, lambda r, t: "ManeuveringTarget", _crossing
     ),
     "passive-radar": Family(
         "ekf", RANGE_SUM_TRACKERS, read_range_sums, SumPlayback, lambda r, t: "PassiveRadar", _pool

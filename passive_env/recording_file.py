@@ -78,6 +78,9 @@ QUANTITIES: dict[str, Quantity] = {
 TEXTS = ("station", "transmitter", "time_utc", "available")
 """Columns without a unit."""
 
+SEPARATORS = (";", "\t", "|")
+"""What other programs put between columns instead of commas."""
+
 NOTE = "note"
 """Columns whose names begin so are not read."""
 
@@ -123,9 +126,11 @@ def read_table(path: str | Path, known: Sequence[str]) -> Table:
         known: names, without units, of the columns that may stand in it.
     Raises:
         RecordingError: not such a file, a column nobody knows or without its unit, a value that is none or outside its
-            limits, times that go back. OSError: the file cannot be opened.
+            limits, times that go back. OSError: there is no such file, or it cannot be opened.
     """
     path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, must be a CSV file of measurements")
     return parse_table(path.read_bytes(), str(path), known)
 
 
@@ -163,6 +168,8 @@ def _read_rows(content: bytes, source: str) -> tuple[list[str], list[int], list[
         raise RecordingError(f"{source}: is no CSV text ({error})") from None
     if not any(header):
         raise RecordingError(f"{source}: is empty, must be a CSV file with a header line")
+    if len(header) == 1 and (found := [sign for sign in SEPARATORS if sign in header[0]]):
+        raise RecordingError(f"{source}, line 1: its columns are separated by {found[0]!r}, must be by commas")
     if not numbered:
         raise RecordingError(f"{source}: has a header but no rows, must have one per measurement")
     for line, row in numbered:

@@ -70,12 +70,14 @@ def from_stone_soup(episodes: Sequence[Episode]) -> EpisodeArrays:
         episodes: as of `to_stone_soup`, all of the same length, numbers of stations and targets. Where a track has
             several states of one instant, the last one counts.
     Raises:
-        ImportError: Stone Soup is not installed; ValueError: episodes that differ in shape, a state or detection that
-            is missing or belongs nowhere, named.
+        ImportError: Stone Soup is not installed; ValueError: episodes that differ in shape, tracks that are not one per
+            truth, a state or detection that is missing or belongs nowhere, named.
     """
     needs("stonesoup", EXTRA)
     if not episodes:
         raise ValueError("episodes: there are none")
+    for e, episode in enumerate(episodes):
+        _check_paths(episode, f"episode {e}")
     times = [state.timestamp for state in episodes[0].truths[0]]
     parts = [_arrays(episode, f"episode {e}", times) for e, episode in enumerate(episodes)]
     shapes = [tuple(np.shape(array) for array in part) for part in parts]
@@ -97,8 +99,11 @@ def metrics(episode: Episode, cutoff_m: float = 10e3, order: float = 2.0) -> dic
     Returns:
         Stone Soup's metrics by the names `GENERATORS`, then by title.
     Raises:
-        ImportError: Stone Soup is not installed; ValueError: a cutoff that is not positive, an order below 1.
+        ImportError: Stone Soup is not installed; ValueError: a cutoff that is not positive, an order below 1, or
+            no truths.
     """
+    if not episode.truths:
+        raise ValueError("the episode has no truths: must have at least one")
     if not (np.isfinite(cutoff_m) and cutoff_m > 0.0) or not order >= 1.0:
         raise ValueError(f"cutoff_m = {cutoff_m}, order = {order}: must be positive, and at least 1")
     mapping = MAPPING[episode.truths[0][0].ndim]
@@ -307,6 +312,18 @@ def _arrays(episode: Episode, where: str, times: list[datetime]) -> list[np.ndar
     transmitters = platforms[0, : len(stations), :half] if receiver else np.empty((0, 0))
     platforms = platforms[:, len(stations) :] if receiver else platforms
     return [platforms, truth, mean, cov, transmitters, *_gathered(episode, where, times, stations)]
+
+
+def _check_paths(episode: Episode, where: str) -> None:
+    """Refuse an episode without truths or platforms, or without a track for each truth."""
+    for kind, paths in (("truths", episode.truths), ("platforms", episode.platforms)):
+        if not paths:
+            raise ValueError(f"{where} has no {kind}: must have at least one")
+    if len(episode.tracks) != len(episode.truths):
+        raise ValueError(
+            f"{where} has tracks of {len(episode.tracks)} targets, truths of {len(episode.truths)}: must have one "
+            "track for each truth, in their order"
+        )
 
 
 def _states(path: Any, where: str, times: list[datetime]) -> list[Any]:

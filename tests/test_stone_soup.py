@@ -290,7 +290,10 @@ def test_objects_that_do_not_belong_together_are_refused(episodes):
             spoilt(one, truths=[one.truths[0][:5], *one.truths[1:]]),
             "platform 0 has states of 13 instants: must have one of each of the 5",
         ),
-        ([one, one._replace(tracks=one.tracks[:2])], "episode 1 has arrays of shapes"),
+        ([one, one._replace(tracks=one.tracks[:2])], "episode 1 has tracks of 2 targets, truths of 3: must have one"),
+        ([one, one._replace(tracks=one.tracks[:2], truths=one.truths[:2])], "episode 1 has arrays of shapes"),
+        (spoilt(one, truths=[]), "episode 0 has no truths: must have at least one"),
+        (spoilt(one, platforms=[]), "episode 0 has no platforms: must have at least one"),
         (spoilt(one, detections=one.detections[:-1]), "detections of 12 instants, must be 13"),
         (spoilt(one, detections=unnumbered(one)), "have station = None and slot = None, must be whole numbers below 2"),
         (spoilt(one, detections=unnumbered(one, station=2, slot=0)), "station = 2 and slot = 0, must be"),
@@ -305,6 +308,8 @@ def test_settings_of_metrics_and_trackers_are_checked(episodes):
     for settings in ({"cutoff_m": 0.0}, {"cutoff_m": math.nan}, {"order": 0.5}):
         with pytest.raises(ValueError, match="must be positive, and at least 1"):
             metrics(episodes[0], **settings)
+    with pytest.raises(ValueError, match="has no truths: must have at least one"):
+        metrics(episodes[0]._replace(truths=[]))
     for begin in (-1, 13):
         with pytest.raises(ValueError, match=f"begin = {begin}: must be an instant, 0 to 12"):
             retrack(episodes[0], constant_velocity(2, 1.0), begin)

@@ -367,6 +367,8 @@ BAD = [
     (changed("north_m", "east_km"), "'east_km' and 'east_m' tell the same"),
     (GOOD.splitlines()[0], "has a header but no rows"),
     ("", "is empty, must be a CSV file"),
+    (GOOD.replace(",", ";"), "line 1: its columns are separated by ';', must be by commas"),
+    (GOOD.replace(",", "\t"), "line 1: its columns are separated by '.t', must be by commas"),
     ('a,b\n"1', "is no CSV text"),
 ]
 
@@ -426,7 +428,7 @@ def test_bad_rows_of_other_trackers_are_refused(read, text, words, tmp_path):
         ("imm-mie", GOOD.replace("\n1,", "\n0.01,"), {}, "median time between scans is 0.01 s"),
         ("imm-mie", "\n".join(GOOD.splitlines()[:3]), {}, "has one scan"),
         ("imm-mie", GOOD.replace(",B,", ",A2,").replace(",A,", ",A2,"), {}, "has a row already"),
-        ("imm-mie", "\n".join(r for r in GOOD.splitlines() if ",B," not in r), {}, "stations = 1: must lie in"),
+        ("imm-mie", "\n".join(r for r in GOOD.splitlines() if ",B," not in r), {}, "has one station"),
         ("imm-mie", GOOD + "2e5,A,1,0,0\n", {}, "median time"),
         ("imm-mie", GOOD + "2,A,1,0,0\n2e5,A,1,0,0\n", {}, "nothing from 2 s to 200000 s.*split the file there"),
         ("rp-ekf", GOOD.replace("1,B", "1,C"), {}, "has 3 stations, A, B, C; the bank weighs"),
@@ -502,6 +504,9 @@ def test_command_refuses_before_it_writes(tmp_path, capsys):
     assert cli.main(["track", str(file), "--tracker", "imm-mie", "--out", str(out)]) == 2
     assert "nan is not finite" in capsys.readouterr().err
     assert cli.main(["track", str(tmp_path / "none.csv"), "--tracker", "imm-mie", "--out", str(out)]) == 2
+    assert "none.csv: no such file" in capsys.readouterr().err
+    assert cli.main(["track", str(tmp_path), "--tracker", "imm-mie", "--out", str(out)]) == 2
+    assert f"{tmp_path}: no such file" in capsys.readouterr().err
     assert cli.main(["track", "sample", "--tracker", "imm-mie", "--policy", "nobody", "--out", str(out)]) == 2
     assert "unknown policy 'nobody'" in capsys.readouterr().err
     assert cli.main(["track", "sample", "--tracker", "imm-mie", "--policy", "oracle", "--out", str(out)]) == 2
