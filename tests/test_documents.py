@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -14,6 +15,7 @@ from markdown_tables import tables
 from agents import cli
 from agents.documentation import GENERATED, documents
 from agents.pretrained import PRETRAINED
+from agents.replay import plotly_script
 from agents.reproduction.angle_fusion import run_trials
 from agents.reproduction.angle_fusion.claims import all_claims
 from agents.reproduction.report import VERDICTS
@@ -242,7 +244,16 @@ def clash_of_names(monkeypatch) -> None:
     distribution.check_names()
 
 
-STAGED = {"Another package of the same name is in the way": clash_of_names}
+def missing_extra(monkeypatch) -> None:
+    """As if plotly had not been installed."""
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    plotly_script()
+
+
+STAGED = {
+    "Another package of the same name is in the way": clash_of_names,
+    "An extra is not installed": missing_extra,
+}
 """Messages of circumstances that a block cannot bring about."""
 
 
