@@ -10,10 +10,12 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import tyro
 from markdown_tables import tables
 
 from agents import cli
 from agents.documentation import GENERATED, documents
+from agents.parameter_sharing import Sharing
 from agents.pretrained import PRETRAINED
 from agents.replay import plotly_script
 from agents.reproduction.angle_fusion import run_trials
@@ -40,6 +42,9 @@ OTHER_COMMANDS = (
     "mkdocs build --strict",  # .ci/run
 )
 """Commands in documents besides our own, and who runs them. Any may install an extra that pyproject.toml has."""
+
+SHARING = "python -m agents.parameter_sharing "
+"""An example that trains for minutes: its commands are parsed here, tests/test_parameter_sharing.py runs short ones."""
 
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 
@@ -139,6 +144,7 @@ def test_no_code_is_left_out(document):
     assert all(document == START for language, *_ in fences(document) if language == "sh")
     words = ("python ", "pip ", "bash ", "mkdocs ", "git ", "export ")
     others = [line for line in indented(document) if line.startswith(words) and line not in OTHER_COMMANDS]
+    others = [line for line in others if not line.startswith(SHARING)]
     extras = [re.fullmatch(r'python -m pip install (?:-e )?"(?:passive-env|\.)\[(\w+)\]"', line) for line in others]
     assert [line for line, extra in zip(others, extras, strict=True) if not (extra and extra[1] in EXTRAS)] == []
 
@@ -151,6 +157,13 @@ def test_commands_parse(document, monkeypatch):
         assert cli.main(shlex.split(line, comments=True)) == 0
     for command in parsed:
         assert getattr(command, "env", environment_ids()[0]) in environment_ids()
+
+
+def test_commands_of_the_example_with_several_agents_parse():
+    lines = [line for document in DOCUMENTS for line in indented(document) if line.startswith(SHARING)]
+    assert lines
+    for line in lines:
+        assert tyro.cli(Sharing, args=shlex.split(line.removeprefix(SHARING))).out
 
 
 def test_every_command_is_run_or_says_why_not():
