@@ -24,7 +24,7 @@ class EarthFrame(NamedTuple):
         return np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *self, deg=False), axis=-1)
 
     def geodetic(self, east: Any, north: Any, up: Any) -> np.ndarray:
-        """Latitude, longitude [rad] and height [m] [..., 3] of places in the frame [...] m."""
+        """Latitude [rad], longitude [rad] and height [m], together [..., 3], of places [...] m in the frame."""
         found = pymap3d.enu2geodetic(east, north, up, *self, deg=False)
         return np.stack(np.broadcast_arrays(*found), axis=-1)
 

@@ -246,11 +246,14 @@ def range_sum_model() -> Any:
     soup, base, array = _soup("models.measurement.nonlinear"), _soup("base"), _soup("types.array")
 
     class RangeSum(soup.NonLinearGaussianMeasurement):
+        """Range sum from a transmitter by the target to a receiver."""
+
         transmitter: Any = base.Property(doc="Position of the transmitter, a column [m].")
         receiver: Any = base.Property(doc="Position of the receiver, a column [m].")
 
         @property
         def ndim_meas(self) -> int:
+            """A range sum is one number."""
             return 1
 
         def function(self, state: Any, noise: Any = False, **_: Any) -> Any:

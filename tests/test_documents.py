@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -9,11 +10,14 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import tyro
 from markdown_tables import tables
 
 from agents import cli
 from agents.documentation import GENERATED, documents
+from agents.parameter_sharing import Sharing
 from agents.pretrained import PRETRAINED
+from agents.replay import plotly_script
 from agents.reproduction.angle_fusion import run_trials
 from agents.reproduction.angle_fusion.claims import all_claims
 from agents.reproduction.report import VERDICTS
@@ -38,6 +42,9 @@ OTHER_COMMANDS = (
     "mkdocs build --strict",  # .ci/run
 )
 """Commands in documents besides our own, and who runs them. Any may install an extra that pyproject.toml has."""
+
+SHARING = "python -m agents.parameter_sharing "
+"""An example that trains for minutes: its commands are parsed here, tests/test_parameter_sharing.py runs short ones."""
 
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 
@@ -137,6 +144,7 @@ def test_no_code_is_left_out(document):
     assert all(document == START for language, *_ in fences(document) if language == "sh")
     words = ("python ", "pip ", "bash ", "mkdocs ", "git ", "export ")
     others = [line for line in indented(document) if line.startswith(words) and line not in OTHER_COMMANDS]
+    others = [line for line in others if not line.startswith(SHARING)]
     extras = [re.fullmatch(r'python -m pip install (?:-e )?"(?:passive-env|\.)\[(\w+)\]"', line) for line in others]
     assert [line for line, extra in zip(others, extras, strict=True) if not (extra and extra[1] in EXTRAS)] == []
 
@@ -149,6 +157,13 @@ def test_commands_parse(document, monkeypatch):
         assert cli.main(shlex.split(line, comments=True)) == 0
     for command in parsed:
         assert getattr(command, "env", environment_ids()[0]) in environment_ids()
+
+
+def test_commands_of_the_example_with_several_agents_parse():
+    lines = [line for document in DOCUMENTS for line in indented(document) if line.startswith(SHARING)]
+    assert lines
+    for line in lines:
+        assert tyro.cli(Sharing, args=shlex.split(line.removeprefix(SHARING))).out
 
 
 def test_every_command_is_run_or_says_why_not():
@@ -242,7 +257,16 @@ def clash_of_names(monkeypatch) -> None:
     distribution.check_names()
 
 
-STAGED = {"Another package of the same name is in the way": clash_of_names}
+def missing_extra(monkeypatch) -> None:
+    """As if plotly had not been installed."""
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    plotly_script()
+
+
+STAGED = {
+    "Another package of the same name is in the way": clash_of_names,
+    "An extra is not installed": missing_extra,
+}
 """Messages of circumstances that a block cannot bring about."""
 
 
