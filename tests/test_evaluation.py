@@ -2,6 +2,7 @@
 
 import csv
 import json
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -732,6 +733,15 @@ def test_misspelt_commands_and_flags_exit_with_2(capsys, arguments):
         cli.main(arguments)
     assert ended.value.code == 2
     assert capsys.readouterr().err
+
+
+def test_the_commands_module_runs_as_a_script(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["passive-env", "list"])
+    monkeypatch.delitem(sys.modules, "agents.cli")
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("agents.cli", run_name="__main__")
+    assert ended.value.code == 0
+    assert "passive/TwoStation-v0" in capsys.readouterr().out
 
 
 def test_list_names_environments_policies_trackers_and_algorithms(capsys):
