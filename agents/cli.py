@@ -93,8 +93,8 @@ class Replay:
     env: Annotated[str, tyro.conf.Positional] = "passive/TwoStation-v0"
     """Environment id."""
     policies: tuple[str, ...] | None = None
-    """Policy names (see `passive-env list`), run folders made by train and files FILE.npz made by pack; `learned` is
-    the pretrained one. Default the fixed geometry, the rule and the pretrained policy."""
+    """Policy names (see `passive-env list`), run folders made by train, files FILE.npz made by pack and FILE.onnx made
+    by export; `learned` is the pretrained one. Default the fixed geometry, the rule and the pretrained policy."""
     seed: int = 0
     """Seed of the episode."""
     out: Path = Path("replay.html")

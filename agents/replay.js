@@ -146,14 +146,15 @@ function trail(layer, k, g, style, color) {
   return lineTrace(x, y, style, color, { opacity: 0.8 });
 }
 
-// One function per shape: (layer, k, g, style, color, labels) to a trace.
+// One function per shape: (layer, k, g, style, color, labels) to a trace. Darts are narrow, with the tip at the place: a
+// triangle of equal sides would point three ways.
 const SHAPES = {
   dart(layer, k, g, style, color, labels) {
     const rows = rowsOf(layer, k, g);
     const far = (label, r) => (r.length > 3 ? `<b>${label}</b><br>off the map, ${r[3].toFixed(0)} from its middle` : named(label, r));
     return markerTrace(rows, labels, far, {
       color: style.open ? theme("paper") : color, size: style.size, line: { color: style.open ? color : theme("paper"), width: style.open ? 2 : 1 },
-      symbol: rows.map((r) => (Number.isFinite(r[2]) ? "triangle-up" : "circle")),
+      symbol: rows.map((r) => (Number.isFinite(r[2]) ? "arrow" : "circle")),
       angle: rows.map((r) => (Number.isFinite(r[2]) ? 90 - r[2] : 0)),
     });
   },
