@@ -34,14 +34,27 @@ over_cases = pytest.mark.parametrize(("env_id", "keywords"), CASES, ids=lambda p
 
 @over_cases
 def test_api_and_seed_tests(env_id, keywords):
+    """PettingZoo's tests assert and warn by themselves; here besides that an episode was flown to its end."""
+    env = parallel_env(env_id, steps=3, **keywords)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # where the test only warns, it found something
-        parallel_api_test(parallel_env(env_id, steps=3, **keywords), num_cycles=10)
+        parallel_api_test(env, num_cycles=10)
+    assert env.agents == []
+    assert env.world.step.tolist() == [3]
     parallel_seed_test(lambda: parallel_env(env_id, steps=3, **keywords), num_cycles=10)
 
 
 def test_turn_by_turn():
-    api_test(parallel_to_aec(parallel_env(steps=3)), num_cycles=20)
+    """PettingZoo's test asserts by itself; here besides that both platforms have a turn per step, and a last look."""
+    env = parallel_to_aec(parallel_env(steps=3))
+    api_test(env, num_cycles=20)
+    env.reset(seed=0)
+    turns = []
+    for agent in env.agent_iter():
+        *_, terminated, truncated, _ = env.last()
+        turns.append(agent)
+        env.step(None if terminated or truncated else env.action_space(agent).sample())
+    assert turns == ["platform_0", "platform_1"] * 4
 
 
 @over_cases
