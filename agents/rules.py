@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.steering import level_flight
 from passive_env.belief import Belief
-from passive_env.steering import course, line_of_sight, outward, towards
+from passive_env.steering import course, line_of_sight, outward, shorter_sides, towards
 from trackers.angles import wrap
 
 
@@ -163,12 +163,11 @@ class OpenBaseline:
 
     def reset(self, belief: Belief) -> None:
         """Decide who crosses."""
-        sides = outward(belief.platforms, belief.mean)
-        off = course(belief.platforms) - line_of_sight(belief.platforms, belief.mean)
-        turning, otherwise = (np.abs(wrap(side * self._wide - off)).mean(axis=1) for side in (sides, -sides))
-        saved = (turning - otherwise) / max(self._turn_per_step, 1e-12)
-        self._crossed = (saved > self._cross * _longest(belief.platforms) / self._way_per_step)[:, None]
-        self._sides = -sides
+        straight = outward(belief.platforms, belief.mean)
+        self._sides = shorter_sides(
+            belief.platforms, belief.mean, self._wide, self._turn_per_step, self._way_per_step, self._cross
+        )
+        self._crossed = (self._sides != straight).all(axis=1, keepdims=True)
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the angle of the moment at the limit; full speed until the stations stop."""
@@ -186,12 +185,6 @@ class OpenBaseline:
         """[e] whether this is a step on which all halt."""
         number = self._steps - belief.steps_left + 1
         return np.zeros(len(number), dtype=bool) if self._halt_every is None else number % self._halt_every == 0
-
-
-def _longest(platforms: np.ndarray) -> np.ndarray:
-    """The largest distance [e] between any two of the platforms [e, s, n]."""
-    apart = platforms[:, :, None, :2] - platforms[:, None, :, :2]
-    return np.sqrt(np.square(apart).sum(axis=-1)).max(axis=(1, 2))
 
 
 def _widest_crossing(sight: np.ndarray) -> np.ndarray:
@@ -349,28 +342,28 @@ is best in the final error where platforms turn fast."""
 OPENINGS = {
     "open": (75.0, 75.0, 90.0, 180.0),
     "rule_bend": (85.0, 20.0, 70.0, 90.0),
-    "rule_cross": (85.0, 20.0, 70.0, 90.0, 2.25),
 }
-"""Angles of `OpenBaseline`, in its order: outwards at full speed; turning on the spot and bending forward; the same and
-crossing. Best of grids in the mean position error while targets turn, the time-averaged one deciding where that differs
-by less than its luck, on seeds 500,000 and up, which no evaluation uses, 1,536 episodes per cell: one angle from 70° to
-90°; first angle 75–90°, last 0–30°, at 70° or 80°; crossing that saves 150°, 180° or 210° in sum (2.25 are 180° of two
-aircraft that turn by 5°/s). Within a grid no cell is better by more than 0.6 % in either error."""
+"""Angles of `OpenBaseline`, in its order: outwards at full speed; turning on the spot and bending forward.
+
+Best of grids in the mean position error while targets turn, the time-averaged one deciding where that differs by less
+than its luck, on seeds 500,000 and up, which no evaluation uses, 1,536 episodes per cell: one angle from 70° to 90°;
+first angle 75–90°, last 0–30°, at 70° or 80°; for the scenario's `crossing_worth` crossing that saves 150°, 180° or
+210° in sum. Within a grid no cell is better by more than 0.6 % in either error."""
 
 
-def _opening(name: str) -> Any:
+def _opening(name: str, crossing: bool = False) -> Any:
     """A maker (scenario, seed); stations that measure only when slow halt on every other step."""
 
     def make(scenario: Any, seed: int) -> OpenBaseline:
-        return OpenBaseline(scenario, *OPENINGS[name], halt_every=2 if scenario.carrier == "ground" else None)
+        worth = scenario.crossing_worth if crossing else math.inf
+        return OpenBaseline(scenario, *OPENINGS[name], worth, halt_every=2 if scenario.carrier == "ground" else None)
 
     return make
 
 
-def _best_opening(scenario: Any, seed: int) -> OpenBaseline:
-    """Crossing pays later; recorded targets turn less than drawn ones, and often at once."""
-    return _opening("rule_bend" if scenario.course == "flights" else "rule_cross")(scenario, seed)
-
-
-OPEN_BASELINE = {"open": _opening("open"), "rule_bend": _opening("rule_bend"), "rule": _best_opening}
+OPEN_BASELINE = {
+    "open": _opening("open"),
+    "rule_bend": _opening("rule_bend"),
+    "rule": _opening("rule_bend", crossing=True),
+}
 """Makers (scenario, seed) for stations whose bearings become position fixes; `rule` is the strongest found."""

@@ -14,7 +14,15 @@ import numpy as np
 from gymnasium import spaces
 
 from passive_env.belief import Belief
-from passive_env.steering import course, lead_pursuit, left_to_turn, line_of_sight, outward, towards
+from passive_env.steering import (
+    course,
+    lead_pursuit,
+    left_to_turn,
+    line_of_sight,
+    outward,
+    shorter_sides,
+    towards,
+)
 from trackers.angles import wrap
 
 GUIDED = ("headings", "velocities")
@@ -87,7 +95,12 @@ class Headings(Continuous):
         return np.concatenate([self._turns(left), values[:, self._platforms :]], axis=1)
 
     def _left_to_turn(self, values: np.ndarray, belief: Belief) -> np.ndarray:
-        return left_to_turn(belief.platforms, belief.mean, math.pi * values[:, : self._platforms])
+        off = self._sides(belief) * math.pi * values[:, : self._platforms]
+        return left_to_turn(belief.platforms, belief.mean, off)
+
+    def _sides(self, belief: Belief) -> np.ndarray:
+        """+1 [e, s] where positive headings are left of the line of sight, −1 where right."""
+        return outward(belief.platforms, belief.mean)
 
     def _turns(self, left: np.ndarray) -> np.ndarray:
         """Commands [e, s] of what is left to turn [e, s] rad: all of it, or as much as can be."""
@@ -105,7 +118,7 @@ class Headings(Continuous):
         hardest = max(math.radians(HARD_TURN_DEG), self._turn_per_step)
         ahead = np.where(np.abs(turns) < 1.0, self._turn_per_step, hardest) * turns
         aim = course(belief.platforms) + ahead
-        off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * outward(belief.platforms, belief.mean)
+        off = wrap(aim - line_of_sight(belief.platforms, belief.mean)) * self._sides(belief)
         return np.concatenate([np.nan_to_num(off) / math.pi, commands[:, n:]], axis=1).astype(np.float32)
 
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
@@ -116,16 +129,25 @@ class Headings(Continuous):
 class HeadingsAndSpeeds(Headings):
     """Headings as of `Headings`, then speeds from the lowest, −1, to the highest.
 
+    Positive is the side on which the baseline is sooner opened (`passive_env.steering.shorter_sides`): outwards, or for
+    all platforms the opposite if that saves much turning. They cross each other's way then, and are outside after it.
+
     A platform that flies more than 90° off the heading, and farther off than a step turns it, turns at its lowest
     speed, on the spot if that is 0, whatever its speed should be then: the way flown meanwhile would have to be flown
     back.
 
     Args:
         as of `Headings`; there is a speed per platform.
+        way_per_step: longest way in a step [m].
+        angle, worth: off the line of sight [rad] and of crossing, as of `shorter_sides`.
     """
 
-    def __init__(self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None):
+    def __init__(
+        self, size: int, platforms: int, turn_per_step: float, way_per_step: float, angle: float, worth: float,
+        odd: Sequence[bool] | None = None,
+    ):  # fmt: skip
         super().__init__(size, platforms, turn_per_step, odd)
+        self._way_per_step, self._angle, self._worth = way_per_step, angle, worth
         self._slow_beyond = max(0.5 * math.pi, 1.001 * turn_per_step)  # beyond what rounding adds to a step's turn
 
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
@@ -133,6 +155,12 @@ class HeadingsAndSpeeds(Headings):
         left = self._left_to_turn(values, belief)
         speeds = np.where(np.abs(left) > self._slow_beyond, -1.0, values[:, self._platforms :])
         return np.concatenate([self._turns(left), speeds], axis=1)
+
+    def _sides(self, belief: Belief) -> np.ndarray:
+        """+1 [e, s] where positive headings are left of the line of sight, −1 where right."""
+        return shorter_sides(
+            belief.platforms, belief.mean, self._angle, self._turn_per_step, self._way_per_step, self._worth
+        )
 
 
 class Discrete:

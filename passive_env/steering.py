@@ -88,6 +88,35 @@ def outward(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
     return _outward(platforms, mean)
 
 
+def shorter_sides(
+    platforms: np.ndarray, mean: np.ndarray, angle: float, turn_per_step: float, way_per_step: float, worth: float
+) -> np.ndarray:
+    """Sides [..., s] as of `outward`, or for all platforms the opposite ones where opening to those is sooner done.
+
+    All go to the other side, crossing each other's way, where that saves the average one more steps of turning than
+    `worth` times those it takes to fly the longest baseline. Platforms that cross stay on their way, for it saves them
+    ever more to turn.
+
+    Args:
+        platforms, mean: as of `outward`.
+        angle: off its own line of sight to which a platform turns [rad].
+        turn_per_step, way_per_step: largest turn [rad] and longest way [m] in a step.
+        worth: infinite never crosses.
+    """
+    sides = outward(platforms, mean)
+    off = course(platforms) - line_of_sight(platforms, mean)
+    turning, otherwise = (np.abs(wrap(side * angle - off)).mean(axis=-1) for side in (sides, -sides))
+    saved = (turning - otherwise) / max(turn_per_step, 1e-12)
+    crossing = saved > worth * _longest_baseline(platforms) / way_per_step
+    return np.where(crossing[..., None], -sides, sides)
+
+
+def _longest_baseline(platforms: np.ndarray) -> np.ndarray:
+    """The largest distance [...] between any two of the platforms [..., s, n]."""
+    apart = platforms[..., :, None, :2] - platforms[..., None, :, :2]
+    return np.sqrt(np.square(apart).sum(axis=-1)).max(axis=(-2, -1))
+
+
 @kernel("(s,n),(m,n),(s)->(s)")
 def _left_to_turn(platforms, mean, off, out):
     stations, tracks, v = platforms.shape[0], mean.shape[0], platforms.shape[1] // 2
@@ -101,9 +130,9 @@ def _left_to_turn(platforms, mean, off, out):
 
 
 def left_to_turn(platforms: np.ndarray, mean: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Turns [..., s] rad that bring platforms [..., s, n] to headings `off` [..., s] rad outwards of their sights.
+    """Turns [..., s] rad that bring platforms [..., s, n] to headings `off` [..., s] rad left of their sights.
 
-    Sights run to the middle of the tracks [..., m, n]; outwards is as of `outward`. Off the sight to a diverged track,
-    where that is not a number, it is straight on.
+    Sights run to the middle of the tracks [..., m, n]. Off the sight to a diverged track, where that is not a number,
+    it is straight on.
     """
-    return _left_to_turn(platforms, mean, outward(platforms, mean) * off)
+    return _left_to_turn(platforms, mean, off)

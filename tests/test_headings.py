@@ -9,17 +9,18 @@ import pytest
 from agents.evaluation import fly
 from agents.learned import LearnedPolicy, observation_digest, read_config
 from agents.presets import load_preset
-from agents.rules import HoldOffSight
+from agents.rules import HoldOffSight, OpenBaseline
 from agents.sb3 import Sb3VecEnv
 from agents.training import Run, begin_with, new_model, plan, train
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
-from passive_env.steering import course, left_to_turn, line_of_sight, outward
+from passive_env.steering import course, left_to_turn, line_of_sight, outward, shorter_sides
 from trackers.angles import wrap
 
 LIMIT = np.radians(10.0)
+WAY = 250.0
 ID = "passive/AngleFusion-v0"
 
 
@@ -32,6 +33,10 @@ def belief_of(places, courses_deg, target=(20_000.0, 0.0)):
 
 def codec(size=2, odd=None):
     return Headings(size, 2, LIMIT, odd)
+
+
+def with_speeds(turn_per_step):
+    return HeadingsAndSpeeds(4, 2, turn_per_step, WAY, np.radians(85.0), 2.25, [True, True, False, False])
 
 
 def test_outward_is_left_for_the_left_platform():
@@ -79,13 +84,13 @@ def test_what_is_left_to_turn_is_the_same_compiled_and_written_out():
         off = np.random.default_rng(0).uniform(-np.pi, np.pi, belief.platforms.shape[:2])
         aim = line_of_sight(belief.platforms, belief.mean) + outward(belief.platforms, belief.mean) * off
         expected = wrap(aim - course(belief.platforms))
+        off = outward(belief.platforms, belief.mean) * off
         np.testing.assert_allclose(left_to_turn(belief.platforms, belief.mean, off), expected, atol=1e-9)
 
 
 def test_platforms_in_line_with_the_target_go_to_different_sides():
     belief = belief_of([(0.0, 0.0), (-5000.0, 0.0)], [0.0, 0.0])
     assert np.array_equal(outward(belief.platforms, belief.mean), [[-1.0, 1.0]])
-    assert np.allclose(left_to_turn(belief.platforms, belief.mean, np.array([[0.5, 0.5]])), [[-0.5, 0.5]])
 
 
 def test_a_heading_is_an_angle_off_the_platforms_own_line_of_sight():
@@ -102,6 +107,39 @@ def test_a_heading_is_an_angle_off_the_platforms_own_line_of_sight():
         np.testing.assert_allclose(codec().commands(values, belief), [expected], atol=1e-12)
 
 
+@pytest.mark.parametrize(("worth", "expected"), [(2.0, [1.0, -1.0]), (2.25, [-1.0, 1.0]), (np.inf, [-1.0, 1.0])])
+def test_platforms_cross_where_that_saves_enough_turning(worth, expected):
+    """Both would turn by 170°, 17 steps, to open the baseline of 2 km, 8 steps long; across they need not turn."""
+    belief = belief_of([(0.0, -1000.0), (0.0, 1000.0)], [85.0, -85.0], target=(1e9, 0.0))
+    sides = shorter_sides(belief.platforms, belief.mean, np.radians(85.0), LIMIT, WAY, worth)
+    assert np.array_equal(sides, [expected])
+
+
+def test_a_diverged_track_makes_nobody_cross():
+    belief = belief_of([(0.0, -1000.0), (0.0, 1000.0)], [85.0, -85.0], target=(np.nan, 0.0))
+    sides = shorter_sides(belief.platforms, belief.mean, np.radians(85.0), LIMIT, WAY, 0.0)
+    assert np.array_equal(sides, outward(belief.platforms, belief.mean))
+    actions = with_speeds(LIMIT)
+    assert np.array_equal(actions.commands(np.array([[0.5, 0.5, 1.0, 1.0]]), belief), [[0.0, 0.0, 1.0, 1.0]])
+
+
+def test_who_crosses_decided_at_every_step_is_who_crosses_decided_once():
+    """A constant heading action is the rule, which remembers its decision, until targets pass between the stations."""
+    worlds = [PassiveVectorEnv("ManeuveringTarget", num_envs=256, actions=kind) for kind in ("headings", "continuous")]
+    for env in worlds:
+        env.reset(seed=0)
+    rule = OpenBaseline(worlds[1].scenario, 85.0, cross=2.25)
+    rule.reset(worlds[1].belief())
+    assert 0.05 < rule._crossed.mean() < 0.5
+    heading = np.tile(np.array([85.0 / 180.0, 85.0 / 180.0, 1.0, 1.0], dtype=np.float32), (256, 1))
+    for _ in range(40):
+        belief = worlds[1].belief()
+        worlds[0].step(heading)
+        worlds[1].step(rule.act(belief, np.empty(0)).astype(np.float32))
+    first, second = (env.belief().platforms for env in worlds)
+    np.testing.assert_allclose(first, second, atol=1e-2)
+
+
 def test_climbs_pass_unchanged():
     belief = belief_of([(0.0, -10_000.0), (0.0, 10_000.0)], [0.0, 0.0])
     actions = codec(4, [True, True, False, False])
@@ -114,7 +152,7 @@ def test_stations_far_off_their_heading_turn_at_their_lowest_speed():
     """Lines of sight at ±45°; both are to head 90° outwards of them, one is 89° off that, the other 91°."""
     places = [(0.0, -10_000.0), (0.0, 10_000.0)]
     belief = belief_of(places, [-45.0 + 89.0, 45.0 - 91.0], target=(10_000.0, 0.0))
-    actions = HeadingsAndSpeeds(4, 2, LIMIT, [True, True, False, False])
+    actions = with_speeds(LIMIT)
     np.testing.assert_allclose(
         actions.commands(np.array([[0.5, 0.5, 0.75, 0.75]]), belief), [[-1.0, 1.0, 0.75, -1.0]], atol=1e-12
     )
@@ -122,7 +160,7 @@ def test_stations_far_off_their_heading_turn_at_their_lowest_speed():
 
 def test_stations_that_a_step_turns_to_their_heading_do_not_slow_down():
     """The same sights; a step turns by 100°, enough for 91° but not for 105°."""
-    actions = HeadingsAndSpeeds(4, 2, np.radians(100.0), [True, True, False, False])
+    actions = with_speeds(np.radians(100.0))
     belief = belief_of([(0.0, -10_000.0), (0.0, 10_000.0)], [-45.0 + 91.0, 45.0 - 105.0], target=(10_000.0, 0.0))
     np.testing.assert_allclose(
         actions.commands(np.array([[0.5, 0.5, 0.75, 0.75]]), belief), [[-0.91, 1.0, 0.75, -1.0]], atol=1e-12

@@ -37,6 +37,15 @@ from trackers.imm_mie import MIXINGS, ImmMie
 
 ACTIONS = ("continuous", "headings", "discrete")
 
+OPENING = math.radians(85.0)
+"""Off the line of sight: where stations turn first when they open the baseline."""
+
+CROSSING_WORTH = 2.25
+"""Of `passive_env.steering.shorter_sides`: two aircraft that turn by 5°/s cross where it saves them 180° in sum.
+
+Crossing pays later: on recorded flights, which turn less than drawn targets and often at once, nobody crosses. Tuned
+with the rules' angles (`agents.rules.OPENINGS`)."""
+
 START_UNIFORMS = 6
 """Uniform numbers of an episode's start besides the stations' headings: line of sight, range, tilt of the baseline,
 target's course, speed, recorded flight."""
@@ -68,8 +77,11 @@ class ManeuveringTarget(TrackingScenario):
     20 km south of them, "flights" recorded aircraft on a drawn course from a drawn place.
 
     Action: turn rates of all stations as shares of the limit, then their speeds, −1 the least and +1 the top speed. A
-    station has its speed from the step's beginning on and may turn on the spot. With carrier "ground" a station
-    measures only after a step driven at ``measuring_speed_m_s`` at most; a scan of fewer than two azimuths has no fix.
+    station has its speed from the step's beginning on and may turn on the spot. With actions "headings" the first
+    numbers are headings to turn to, as shares of 180° off the own line of sight, positive to the side on which the
+    baseline is sooner opened (`passive_env.actions.HeadingsAndSpeeds`, ``crossing_worth``). With carrier "ground" a
+    station measures only after a step driven at ``measuring_speed_m_s`` at most; a scan of fewer than two azimuths has
+    no fix.
     Observation: `passive_env.maneuver_observation.ManeuverObservation`.
     info: besides what every environment shows ``position_crlb_m``, ``acceleration_error_m_s2``, ``fix_error_m``,
         ``maneuvering``, ``fixed``, each [1], ``acceleration`` [1, 2] (estimated), ``model_probability`` and
@@ -176,6 +188,11 @@ class ManeuveringTarget(TrackingScenario):
         """Speed above which a station does not measure."""
         return math.inf if self.carrier == "aircraft" else max(self.measuring_speed_m_s, STANDING_M_S) * (1.0 + 1e-9)
 
+    @property
+    def crossing_worth(self) -> float:
+        """How much time the stations take to cross each other's way to save turning; see `shorter_sides`."""
+        return math.inf if self.course == "flights" else CROSSING_WORTH
+
     # -- the parts the core asks for ---------------------------------------------------------------------------------
 
     @property
@@ -204,7 +221,10 @@ class ManeuveringTarget(TrackingScenario):
         odd = [True] * self.stations + [False] * self.stations
         if self.actions == "headings":
             turn_per_step = math.radians(self.max_turn_rate_deg_s) * self.step_s
-            return HeadingsAndSpeeds(len(odd), self.stations, turn_per_step, odd)
+            way_per_step = self.top_speed_m_s * self.step_s
+            return HeadingsAndSpeeds(
+                len(odd), self.stations, turn_per_step, way_per_step, OPENING, self.crossing_worth, odd
+            )
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> ManeuverObservation:
