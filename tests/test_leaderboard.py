@@ -318,7 +318,8 @@ def test_cells_of_other_code_are_flown_again(tmp_path, monkeypatch):
 
 def test_code_digest_sees_what_decides_and_nothing_else(tmp_path, monkeypatch):
     decisive = ["agents/rules.py", "passive_env/b.py", "passive_env/data/d.csv", "trackers/a.py"]
-    for name in (*decisive, "passive_env/render_c.py", "agents/report.py", "agents/leaderboard/e.py"):
+    showing = ["passive_env/render_c.py", "passive_env/playback_f.py", "agents/report.py", "agents/leaderboard/e.py"]
+    for name in (*decisive, *showing):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
     monkeypatch.setattr(cells, "ROOT", tmp_path)
