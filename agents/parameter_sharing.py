@@ -24,7 +24,8 @@ import tyro
 from stable_baselines3 import PPO
 
 from agents.activation import quicken
-from agents.evaluation import fly_all, summarize, unique_names
+from agents.comparison import summarize
+from agents.evaluation import fly_all, unique_names
 from agents.files import make_folder, write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, read_settings

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest, norm
 
-from agents.evaluation import fly, summarize
+from agents.comparison import summarize
+from agents.evaluation import fly
 from agents.policy import make_policy
 from agents.report import as_markdown, write_evaluation
 from passive_env import PassiveEnv, PassiveVectorEnv

@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from agents.evaluation import Engine, Flight, Outcomes, here
+from agents.evaluation import Engine, Flight, here
 from agents.files import atomic_write
 from agents.leaderboard.contestants import KINDS, Contestant
+from agents.outcomes import Outcomes
 from agents.provenance import versions
 
 FORMAT = 1
