@@ -99,12 +99,10 @@ class LearnedPolicy(ModelPolicy):
 
     def __init__(self, run: str | Path, environment: str, simulation: Simulation):
         config = read_config(Path(run))
-        _check_environment(Path(run), config, environment)
-        shown, simulation = simulation.scenario, as_trained(config, environment, simulation)
-        _check_fit(Path(run), config, environment, simulation)
+        trained = _checked_parts(run, config, environment, simulation)
         model = load_model(Path(run) / MODEL, config["algo"])
-        _check_spaces(Path(run) / MODEL, model, simulation)
-        super().__init__(model, simulation, shown)
+        _check_spaces(Path(run) / MODEL, model, trained)
+        super().__init__(model, trained, simulation.scenario)
 
 
 class PackedPolicy(ActorPolicy):
@@ -120,13 +118,10 @@ class PackedPolicy(ActorPolicy):
 
     def __init__(self, file: str | Path, environment: str, simulation: Simulation):
         packed = read_packed(file)
-        _check_environment(Path(file), packed.description, environment)
-        shown, simulation = simulation.scenario, as_trained(packed.description, environment, simulation)
-        _check_fit(Path(file), packed.description, environment, simulation)
         self.description = packed.description
-        super().__init__(
-            rebuild(str(file), packed.description["network"], packed.arrays, simulation), simulation, shown
-        )
+        trained = _checked_parts(file, self.description, environment, simulation)
+        actor = rebuild(str(file), self.description["network"], packed.arrays, trained)
+        super().__init__(actor, trained, simulation.scenario)
 
 
 class OnnxPolicy(ActorPolicy):
@@ -144,11 +139,9 @@ class OnnxPolicy(ActorPolicy):
     def __init__(self, file: str | Path, environment: str, simulation: Simulation):
         actor = read_onnx(file)
         self.description = actor.description
-        _check_environment(Path(file), self.description, environment)
-        shown, simulation = simulation.scenario, as_trained(self.description, environment, simulation)
-        _check_fit(Path(file), self.description, environment, simulation)
-        actor.check(simulation)
-        super().__init__(actor, simulation, shown)
+        trained = _checked_parts(file, self.description, environment, simulation)
+        actor.check(trained)
+        super().__init__(actor, trained, simulation.scenario)
 
 
 def is_policy_file(path: str | Path) -> bool:
@@ -173,20 +166,34 @@ def read_config(run: Path) -> dict[str, Any]:
     Raises:
         FileNotFoundError: not a run folder; ValueError: unreadable.
     """
-    file = run / CONFIG
-    if not file.is_file():
-        raise FileNotFoundError(f"{run}: no {CONFIG} in it; a run folder is made by 'passive-env train --out {run}'")
-    try:
-        config = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
+    config = read_settings(run, f"a run folder is made by 'passive-env train --out {run}'")
     needed = ("environment", "observation_digest", "algo")
     missing = [name for name in needed if not (isinstance(config, dict) and name in config)]
     if not missing and not isinstance(trained_interface(config), dict):
         missing = ["interface"]
     if missing:
-        raise ValueError(f"{file}: is no run's configuration, {', '.join(missing)} missing; restore it or train again")
+        raise ValueError(
+            f"{run / CONFIG}: is no run's configuration, {', '.join(missing)} missing; restore it or train again"
+        )
     return config
+
+
+def read_settings(run: Path, how: str) -> Any:
+    """What a folder's configuration file holds, whatever has been trained there.
+
+    Args:
+        run: folder.
+        how: how such a folder is made, for messages.
+    Raises:
+        FileNotFoundError: there is no such file; ValueError: no JSON.
+    """
+    file = run / CONFIG
+    if not file.is_file():
+        raise FileNotFoundError(f"{run}: no {CONFIG} in it; {how}")
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
 
 
 def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
@@ -232,6 +239,23 @@ def as_trained(config: dict[str, Any], environment: str, simulation: Simulation)
         if name in registered and getattr(scenario, name) == registered[name] != value
     }
     return replace(scenario, **changed).make_simulation() if changed else simulation
+
+
+def _checked_parts(path: str | Path, config: dict[str, Any], environment: str, simulation: Simulation) -> Simulation:
+    """The parts by which a model sees and acts, as of `as_trained`, in the environment that it shall steer.
+
+    Args:
+        path: of the model's folder or file, for messages.
+        config: of the run that made the model.
+        environment: id of that environment.
+        simulation: its parts.
+    Raises:
+        ValueError: made for another environment, for other observations or actions, or trained with other fields.
+    """
+    _check_environment(Path(path), config, environment)
+    trained = as_trained(config, environment, simulation)
+    _check_fit(Path(path), config, environment, trained)
+    return trained
 
 
 def _check_spaces(file: Path, model: BaseAlgorithm, simulation: Simulation) -> None:

@@ -8,8 +8,9 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from agents.comparison import summarize
 from agents.distributed.cluster import ray_module
-from agents.evaluation import Engine, fly_all, here, summarize, unique_names
+from agents.evaluation import Engine, fly_all, here, unique_names
 from agents.files import make_folder
 from agents.learned import is_trained, open_policy
 from agents.page import fragment

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.evaluation import BASELINES, Record, fly, fly_all, mean_interval, summarize
+from agents.comparison import BASELINES, mean_interval, summarize
+from agents.evaluation import fly, fly_all
 from agents.files import write_json, write_text
 from agents.learned import (
     MODEL,
@@ -27,6 +28,7 @@ from agents.learned import (
 )
 from agents.model_card import card_as_markdown
 from agents.networks import describe
+from agents.outcomes import Record
 from agents.packed import is_packed, write_packed
 from agents.policy import make_policy, policy_names
 from agents.training import commit, training_seconds, versions

@@ -11,7 +11,6 @@ The comparison flies it, the pretrained policy that steers all platforms at once
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,10 +24,11 @@ import tyro
 from stable_baselines3 import PPO
 
 from agents.activation import quicken
-from agents.evaluation import fly_all, summarize, unique_names
+from agents.comparison import summarize
+from agents.evaluation import fly_all, unique_names
 from agents.files import make_folder, write_json
 from agents.imitation import imitate
-from agents.learned import CONFIG, MODEL, ModelPolicy, load_model
+from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, read_settings
 from agents.main_job import FINAL_SEED
 from agents.policy import Policy, make_policy, policy_names
 from agents.pretrained import PRETRAINED, load_pretrained, pretrained_ids
@@ -132,15 +132,9 @@ def load_shared(run: Path, environment: str) -> SharedPolicy:
     Raises:
         FileNotFoundError: no such run; ValueError: damaged, or made for another environment.
     """
-    file = run / CONFIG
-    if not file.is_file():
-        raise FileNotFoundError(f"{run}: no {CONFIG} in it; a run is made by 'python -m agents.parameter_sharing'")
-    try:
-        config = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{file}: is no valid JSON ({error}); restore it or train again") from error
+    config = read_settings(run, "a run is made by 'python -m agents.parameter_sharing'")
     if not (isinstance(config, dict) and {"env", "view"} <= config.keys()):
-        raise ValueError(f"{file}: is no shared network's configuration, it names no env and view; train again")
+        raise ValueError(f"{run / CONFIG}: is no shared network's configuration, it names no env and view; train again")
     if scenario_name(config["env"]) != scenario_name(environment):
         raise ValueError(f"{run}: its network was made for {config['env']}, not for {environment}; train another")
     team, model = _team(environment, config["view"]), load_model(run / MODEL, "ppo")

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from agents.policy import Policy, sees_world
-from passive_env.catalogue.passive_radar import PAPER_SITES_M
 from passive_env.core import World, map_rows
 from passive_env.radar_promise import BLOCK, Ahead, Blockage, Durations, Outlook, SumPrediction, everyone, straight_on
 from passive_env.radar_sensors import RadarBelief, distance
+from passive_env.radar_sites import PAPER_SITES_M
 from passive_env.steering import lead_pursuit, towards
 from trackers.compiled import Blocks, kernel
 from trackers.range_sum import range_sum_row

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from agents import pictures
-from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale, steps_axis
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.maneuvers import Maneuvers, maneuvers
+from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale, steps_axis
 from agents.pictures import EpisodePaths
 from agents.placement_pictures import placement_maps
 from passive_env.catalogue.maneuvering import ManeuveringTarget

@@ -20,9 +20,9 @@ from matplotlib.figure import Figure
 
 from agents import pictures
 from agents.curves import Curve, gather, picture, quantities, read_run, words_of
-from agents.evaluation import Record, steps_axis
 from agents.files import write_text
 from agents.maneuvers import maneuvers
+from agents.outcomes import Record, steps_axis
 from agents.page import fragment, shell
 from agents.placement_pictures import placement_cards
 from agents.provenance import commit, processor_name, versions
@@ -59,7 +59,7 @@ class Comparison(NamedTuple):
 
     Attributes:
         heading: what was compared.
-        summary: as of `agents.evaluation.summarize`.
+        summary: as of `agents.comparison.summarize`.
         scenario: that was flown.
         body: HTML of tables and pictures.
         finding: HTML of one sentence.
@@ -130,7 +130,7 @@ def comparison(
 
     Args:
         heading: what was compared.
-        summary: as of `agents.evaluation.summarize`.
+        summary: as of `agents.comparison.summarize`.
         records: it was made of.
         scenario: that was flown.
         focus: the policy it is about; default the best.

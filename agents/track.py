@@ -22,7 +22,11 @@ from agents.track_files import Track, advice_csv, advice_table, summary, track_c
 from agents.track_pictures import fit_picture, track_picture
 from agents.track_sample import SAMPLE_GUESS, sample_path
 from passive_env.catalogue import make_scenario, scenario_name
-from passive_env.playback import AnglePlayback, BearingPlayback, FixPlayback, Playback, SumPlayback, first_scan
+from passive_env.playback import Playback, first_scan
+from passive_env.playback_angles import AnglePlayback
+from passive_env.playback_bearings import BearingPlayback
+from passive_env.playback_fixes import FixPlayback
+from passive_env.playback_sums import SumPlayback
 from passive_env.recording import read_angles, read_azimuths, read_bearings, read_range_sums
 from trackers import ANGLE_TRACKERS, MANEUVER_TRACKERS, RANGE_SUM_TRACKERS, TRACKERS
 

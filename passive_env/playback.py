@@ -9,6 +9,9 @@ Process noise and the switching of models count per step. So time that passes be
 equal parts as come nearest to the scenario's step; every part but the last ends with a scan that nobody received, just
 as in an environment in which all stations missed it. Where parts are not a step long, noise and transition matrix are
 scaled to their length (`paced`).
+
+What differs from family to family, how scans are read and tracks started, stands in `passive_env.playback_bearings`,
+`playback_angles`, `playback_fixes` and `playback_sums`.
 """
 
 from __future__ import annotations
@@ -20,20 +23,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from passive_env.angle_sensors import CLEAN_DENSITY, AngleSighting
-from passive_env.core import World, check_estimate, map_rows
-from passive_env.maneuver_sensors import ManeuverSighting
+from passive_env.core import World, check_estimate
 from passive_env.metrics import Violations
-from passive_env.radar_sensors import coarse_guess, stack_scans
-from passive_env.recording import Recording, SumRecording
-from passive_env.sensors import Sighting
+from passive_env.recording import Recording
 from passive_env.steering import course
-from trackers.adaptive_rp_ekf import AdaptiveRpEkf, ModelBank
-from trackers.angle_contract import AngleScan
+from trackers.adaptive_rp_ekf import AdaptiveRpEkf
 from trackers.angle_filter import AngleFilter
-from trackers.angles import circular_mean, wrap
-from trackers.contract import Scan
-from trackers.fix_contract import BearingScan
+from trackers.angles import wrap
 from trackers.gaussian import Gaussian
 from trackers.imm import Imm3
 from trackers.imm_mie import ImmMie
@@ -267,283 +263,16 @@ class Playback(ABC):
         return world
 
 
-def _turned(before: np.ndarray, after: np.ndarray, rate: float, time_s: float) -> np.ndarray:
+def turn_commands(before: np.ndarray, after: np.ndarray, rate: float, time_s: float) -> np.ndarray:
     """Turn commands [1, s] flown between two states, as shares of the largest rate [rad/s]."""
     if rate == 0.0:
         return np.zeros(after.shape[:2])
     return np.clip(wrap(course(after) - course(before)) / (rate * time_s), -1.0, 1.0)
 
 
-def _rows_used(nis: Any, degrees: Any, log_likelihood: Any, used: Any) -> Fit:
-    """A fit of one episode's arrays [1, m, …]."""
+def fit_of(nis: Any, degrees: Any, log_likelihood: Any, used: Any) -> Fit:
+    """The fit in arrays [1, m, …], `used` [1, m, s], of a batch of one episode."""
     return Fit(nis[0], np.asarray(degrees)[0], np.asarray(log_likelihood)[0], used[0])
-
-
-class BearingPlayback(Playback):
-    """Unlabelled bearings; the last station is the reference, and its first bearings start the tracks."""
-
-    def __init__(self, scenario: Any, recording: Recording):
-        if len(recording.stations) > 2:
-            raise ValueError(
-                f"{recording.source}: has {len(recording.stations)} stations, {', '.join(recording.stations)}; the "
-                "bank weighs bearings of one or two: leave stations out"
-            )
-        super().__init__(scenario, recording)
-        self._std = scan_std(scenario, recording)
-
-    def begin(self) -> tuple[int, World]:
-        """Tracks in the order of the reference's bearings, counter-clockwise about their middle."""
-        index = first_scan(self.recording)
-        scan = _counter_clockwise(self._scan_at(index, True))
-        tracks = int(scan.valid[0, -1].sum())
-        state = self.tracker.initiate(scan)
-        state = map_rows(lambda part: np.ascontiguousarray(part[:, :tracks]), state)
-        estimate = self.tracker.estimate(state)
-        reports = self.sensors.acquired(
-            Sighting(_cut(scan, tracks), np.zeros_like(estimate.mean), np.full(scan.valid.shape, -1)), state
-        )
-        return index, self._world(index, state, estimate, reports)
-
-    def sighting(self, index: int, world: World, predicted: Any, heard: bool) -> Sighting:
-        """The bearings of an instant."""
-        return Sighting(self._scan_at(index, heard), world.truth, None)
-
-    def flown(self, before: np.ndarray, after: np.ndarray, time_s: float) -> np.ndarray:
-        """Turns of all stations."""
-        return _turned(before, after, np.radians(self.scenario.max_turn_rate_deg_s), time_s)
-
-    def maneuver(self, command: np.ndarray) -> dict[str, float | str]:
-        """Turns of all stations."""
-        return self.turns(command)
-
-    def fit(self, scan: Scan, update: Any) -> Fit:
-        """Stations count one by one, as they are used."""
-        used = update.assignment >= 0
-        nis = np.where(used, np.square(update.innovation) / update.innovation_var, 0.0).sum(-1)
-        stations = len(self.recording.stations)
-        told = np.concatenate([np.zeros((*used.shape[:2], stations - used.shape[2]), dtype=bool), used], axis=-1)
-        return _rows_used(nis, used.sum(-1), update.log_likelihood, told)
-
-    def weights(self, state: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Of range hypotheses, and of the motion models of an adaptive bank."""
-        weight = np.exp(state.log_weights)[0]
-        if isinstance(state, ModelBank):
-            return weight.sum(-1), weight.sum(-2)
-        return weight, np.empty((len(weight), 0))
-
-    def _scan_at(self, index: int, heard: bool) -> Scan:
-        r = self.recording
-        valid = r.valid[None, index] & heard
-        bearings = np.where(valid, r.angles[None, index, ..., 0], 0.0)
-        return Scan(bearings, valid, r.platforms[None, index, :, :2], self._std[index])
-
-
-class AnglePlayback(Playback):
-    """Azimuths and elevations of one target, perhaps among false returns; ranges count from the first platform."""
-
-    def __init__(self, scenario: Any, recording: Recording):
-        super().__init__(scenario, recording)
-        told = np.radians([scenario.azimuth_std_deg, scenario.elevation_std_deg])
-        self._std = np.where(np.isnan(recording.std), told, recording.std)
-        density = recording.clutter_density
-        self._density = np.where(np.isnan(density), self._usual_density(), density)
-
-    def _usual_density(self) -> float:
-        """False returns per rad² where the file does not tell; 0: unknown, the returns in a gate are counted."""
-        s = self.scenario
-        if s.clutter_density_per_deg2 > 0.0 and s.clutter_known:
-            return s.clutter_density_per_deg2 * (180.0 / np.pi) ** 2
-        clean = s.clutter_mean == 0.0 and s.clutter_density_per_deg2 == 0.0 and self.recording.valid.shape[-1] == 1
-        return CLEAN_DENSITY if clean else 0.0
-
-    def begin(self) -> tuple[int, World]:
-        """The track starts at the first return with azimuth and elevation."""
-        r = self.recording
-        ready = np.flatnonzero((r.valid.any(-1) & r.available.all(-1)).any(-1))
-        if not len(ready):
-            raise ValueError(f"{r.source}: has no return with azimuth and elevation, a track starts from one")
-        index = int(ready[0])
-        scan = self._scan_at(index, True)
-        state = self.tracker.initiate(scan)
-        estimate = self.tracker.estimate(state)
-        nothing = Gaussian(np.zeros_like(estimate.mean), np.zeros_like(estimate.cov))
-        reports = self.sensors.acquired(AngleSighting(scan, nothing.mean, None, nothing), state)
-        return index, self._world(index, state, estimate, reports)
-
-    def sighting(self, index: int, world: World, predicted: Any, heard: bool) -> AngleSighting:
-        """The returns of an instant."""
-        return AngleSighting(self._scan_at(index, heard), world.truth, None, self.tracker.estimate(predicted))
-
-    def flown(self, before: np.ndarray, after: np.ndarray, time_s: float) -> np.ndarray:
-        """Turns of all platforms, then climbs."""
-        turns = _turned(before, after, np.radians(self.scenario.max_turn_rate_deg_s), time_s)
-        climbs = (after[..., 2] - before[..., 2]) / (time_s * max(self.scenario.max_climb_m_s, 1e-9))
-        return np.concatenate([turns, np.clip(climbs, -1.0, 1.0)], axis=-1)
-
-    def maneuver(self, command: np.ndarray) -> dict[str, float | str]:
-        """Turns of all platforms, then climbs."""
-        names = self.recording.stations
-        climbs = self.scenario.max_climb_m_s * command[len(names) :]
-        return self.turns(command) | {
-            f"climb_{name}_m_s": float(climb) for name, climb in zip(names, climbs, strict=True)
-        }
-
-    def fit(self, scan: AngleScan, update: Any) -> Fit:
-        """The sum of the sensors' own, of averaged innovations; that sensors share the track's error is left out."""
-        used = update.assignment >= 0
-        counted = used[..., None] & scan.available[:, None]
-        nu = np.where(counted, update.innovation, 0.0)
-        S = np.where(counted[..., None] & counted[..., None, :], update.innovation_cov, np.eye(2))
-        nis = (nu * np.linalg.solve(S, nu[..., None])[..., 0]).sum((-2, -1))
-        return _rows_used(nis, counted.sum((-2, -1)), update.log_likelihood, used)
-
-    def _scan_at(self, index: int, heard: bool) -> AngleScan:
-        r = self.recording
-        valid, available = r.valid[None, index] & heard, r.available[None, index] & heard
-        angles = np.where(valid[..., None], r.angles[None, index], 0.0)
-        places = np.ascontiguousarray(r.platforms[None, index, :, :3])
-        return AngleScan(angles, valid, places, self._std[None, index], available, self._density[None, index])
-
-
-class FixPlayback(Playback):
-    """One target's bearings from stations whose lines of sight cross; the last station is the reference."""
-
-    def __init__(self, scenario: Any, recording: Recording):
-        super().__init__(scenario, recording)
-        std = recording.std[..., 0]
-        self._std = np.where(np.isnan(std), 1e-3 * scenario.azimuth_std_mrad, std)
-
-    def begin(self) -> tuple[int, World]:
-        """The track starts at the first bearing."""
-        index = first_scan(self.recording, reference_only=False)
-        scan = self._scan_at(index, True)
-        state = self.tracker.initiate(scan)
-        estimate = self.tracker.estimate(state)
-        reports = self.sensors.acquired(self._told(scan, estimate.mean), state)
-        return index, self._world(index, state, estimate, reports)
-
-    def sighting(self, index: int, world: World, predicted: Any, heard: bool) -> ManeuverSighting:
-        """The bearings of an instant."""
-        return self._told(self._scan_at(index, heard), world.truth)
-
-    def flown(self, before: np.ndarray, after: np.ndarray, time_s: float) -> np.ndarray:
-        """Turns of all stations, then their speeds."""
-        s = self.scenario
-        turns = _turned(before, after, np.radians(s.max_turn_rate_deg_s), time_s)
-        room = max(s.top_speed_m_s - s.min_speed_m_s, 1e-9)
-        share = (np.hypot(after[..., 2], after[..., 3]) - s.min_speed_m_s) / room
-        return np.concatenate([turns, np.clip(2.0 * share - 1.0, -1.0, 1.0)], axis=-1)
-
-    def maneuver(self, command: np.ndarray) -> dict[str, float | str]:
-        """Turns of all stations, then their speeds."""
-        s, names = self.scenario, self.recording.stations
-        speeds = s.min_speed_m_s + (s.top_speed_m_s - s.min_speed_m_s) * 0.5 * (command[len(names) :] + 1.0)
-        return self.turns(command) | {
-            f"speed_{name}_m_s": float(speed) for name, speed in zip(names, speeds, strict=True)
-        }
-
-    def fit(self, scan: BearingScan, update: Any) -> Fit:
-        """Of the fix, which has two coordinates."""
-        fixed = update.fixed
-        whitened = np.linalg.solve(update.innovation_cov, update.innovation[..., None])[..., 0]
-        nis = np.where(fixed, (update.innovation * whitened).sum(-1), 0.0)
-        used = fixed[..., None] & scan.valid[:, None]
-        return _rows_used(nis, np.where(fixed, 2, 0), update.log_likelihood, used)
-
-    def weights(self, state: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities of the filters."""
-        return np.empty((1, 0)), state.probability[0]
-
-    def _told(self, scan: BearingScan, mean: np.ndarray) -> ManeuverSighting:
-        return ManeuverSighting(scan, np.zeros_like(mean), np.zeros((*mean.shape[:2], 2)))
-
-    def _scan_at(self, index: int, heard: bool) -> BearingScan:
-        r = self.recording
-        valid = r.valid[None, index, :, 0] & heard
-        bearings = np.where(valid, r.angles[None, index, :, 0, 0], 0.0)
-        return BearingScan(bearings, valid, r.platforms[None, index, :, :2], self._std[None, index])
-
-
-class SumPlayback(Playback):
-    """Range sums of one target; the track starts from several scans and an operator's guess.
-
-    Args:
-        scenario, recording: as of `Playback`.
-        guess: [2d] m, m/s, state at the first scan, its errors those of the scenario's fields.
-    """
-
-    def __init__(self, scenario: Any, recording: SumRecording, guess: np.ndarray):
-        scans = len(recording.time_s)
-        if scans < scenario.acquisition_scans:
-            raise ValueError(
-                f"{recording.source}: has {scans} scans, a track starts from acquisition_scans = "
-                f"{scenario.acquisition_scans}: take fewer of them, 'acquisition_scans={scans}' among the fields"
-            )
-        super().__init__(scenario, recording)
-        self._guess = coarse_guess(np.asarray(guess, dtype=float)[None], scenario.guess_std)
-        self._sites = np.ascontiguousarray(recording.transmitters[None])
-
-    def begin(self) -> tuple[int, World]:
-        """The track starts at the last of the scenario's acquisition scans."""
-        last = self.scenario.acquisition_scans - 1
-        times = self.recording.time_s[: last + 1] - self.recording.time_s[0]
-        sightings = self._acquire(self._guess.mean, times)
-        state = self.tracker.initiate(stack_scans(sightings), self._guess, times)
-        if self.scenario.std_range_m > 0.0:  # noise goes with the ranges: told anew for the track found
-            found = self.tracker.estimate(state).mean[:, 0].copy()
-            d = found.shape[1] // 2
-            found[:, :d] -= times[-1] * found[:, d:]
-            sightings = self._acquire(found, times)
-            state = self.tracker.initiate(stack_scans(sightings), self._guess, times)
-        reports = self.sensors.acquired(sightings)
-        return last, self._world(last, state, self.tracker.estimate(state), reports, self._sites)
-
-    def sighting(self, index: int, world: World, predicted: Any, heard: bool) -> Any:
-        """The echoes of an instant, and what they tell of the transmitters."""
-        mean = self.tracker.estimate(predicted).mean
-        return self._told(index, world.reports.listening, mean, heard, tuned=False)
-
-    def flown(self, before: np.ndarray, after: np.ndarray, time_s: float) -> np.ndarray:
-        """The receiver's turn, where it moves; whom it listens to is known without."""
-        command = np.zeros((1, self.simulation.actions.size))
-        if self.scenario.moves:
-            command[:, :1] = _turned(before, after, np.radians(self.scenario.max_turn_rate_deg_s), time_s)
-        return command
-
-    def maneuver(self, command: np.ndarray) -> dict[str, float | str]:
-        """Whom to listen to, and the receiver's turn, where it moves."""
-        scores = command[-len(self.recording.names) :]
-        highest = np.sort(np.argsort(-scores, kind="stable")[: self.scenario.listened])
-        listen: dict[str, float | str] = {"listen": " ".join(self.recording.names[n] for n in highest)}
-        return (self.turns(command) if self.scenario.moves else {}) | listen
-
-    def fit(self, scan: Any, update: Any) -> Fit:
-        """The statistic of the maneuver test."""
-        used = update.used
-        likelihood = update.log_likelihood[:, None]
-        return _rows_used(update.statistic[:, None], used.sum(-1)[:, None], likelihood, used[:, None])
-
-    def _acquire(self, expected: np.ndarray, times: np.ndarray) -> list[Any]:
-        """The first scans, standard deviations told for a target's state [1, 2d] at the first of them."""
-        known, sightings, d = self.sensors.nothing_known(1, len(self.recording.names)), [], expected.shape[1] // 2
-        for index, time_s in enumerate(times):
-            place = expected.copy()
-            place[:, :d] += place[:, d:] * time_s
-            sightings.append(self._told(index, known, place[:, None], heard=True, tuned=True))
-            known = sightings[-1].listening
-        sightings[-1] = sightings[-1]._replace(listening=self.sensors.settled(known))
-        return sightings
-
-    def _told(self, index: int, known: Any, mean: np.ndarray, heard: bool, tuned: bool) -> Any:
-        r = self.recording
-        listened, answered = r.listened[None, index] & heard, r.answered[None, index] & heard
-        sighting = self.sensors.recorded(answered, listened, known, r.platforms[None, index], self._sites, mean, tuned)
-        std = np.where(np.isnan(r.std[None, index]), sighting.scan.std, r.std[None, index])
-        sums = np.where(answered, r.range_sums[None, index], 0.0)
-        return sighting._replace(scan=sighting.scan._replace(range_sums=sums, valid=answered, std=std))
-
-
-# -- first scans -------------------------------------------------------------------------------------------------------
 
 
 def first_scan(recording: Recording, reference_only: bool = True) -> int:
@@ -558,38 +287,3 @@ def first_scan(recording: Recording, reference_only: bool = True) -> int:
         whose = f"station {recording.stations[-1]!r}, the reference," if reference_only else "any station"
         raise ValueError(f"{recording.source}: has no return of {whose} from which a track could start")
     return int(ready[0])
-
-
-def scan_std(scenario: Any, recording: Recording) -> np.ndarray:
-    """[k] rad, the bearings' standard deviation in every scan.
-
-    Raises:
-        ValueError: stations that differ in it, which the bank does not take.
-    """
-    std = np.where(np.isnan(recording.std[..., 0]), np.radians(scenario.bearing_std_deg), recording.std[..., 0])
-    shown = recording.valid.any(-1)
-    highest = np.where(shown, std, -np.inf).max(-1)
-    apart = np.flatnonzero(highest > np.where(shown, std, np.inf).min(-1))
-    if len(apart):
-        raise ValueError(
-            f"{recording.source}: at {recording.time_s[apart[0]]:g} s stations differ in their bearings' standard "
-            "deviation; the bank takes one for all: give the larger one to both"
-        )
-    return np.where(shown.any(-1), highest, np.radians(scenario.bearing_std_deg))
-
-
-def _counter_clockwise(scan: Scan) -> Scan:
-    """A scan of one episode with every station's returns in order about their mean direction, and no empty slots."""
-    bearings, valid = np.zeros_like(scan.bearings), np.zeros_like(scan.valid)
-    for s in range(bearings.shape[1]):
-        own = scan.bearings[0, s][scan.valid[0, s]]
-        own = own[np.argsort(wrap(own - circular_mean(own)), kind="stable")] if len(own) else own
-        bearings[0, s, : len(own)], valid[0, s, : len(own)] = own, True
-    return _cut(Scan(bearings, valid, scan.stations, scan.bearing_std), int(valid.sum(-1).max()))
-
-
-def _cut(scan: Scan, slots: int) -> Scan:
-    """The first slots of a scan."""
-    return scan._replace(
-        bearings=np.ascontiguousarray(scan.bearings[..., :slots]), valid=np.ascontiguousarray(scan.valid[..., :slots])
-    )

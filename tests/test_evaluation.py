@@ -14,16 +14,9 @@ from markdown_tables import tables
 from scipy.stats import binom, chi2, norm
 
 from agents import cli, evaluation
-from agents.evaluation import (
-    Record,
-    difference_of_means,
-    fly,
-    fly_all,
-    ratio_of_means,
-    steps_axis,
-    summarize,
-    unique_names,
-)
+from agents.comparison import difference_of_means, ratio_of_means, summarize
+from agents.evaluation import fly, fly_all, unique_names
+from agents.outcomes import Record, steps_axis
 from agents.pictures import EpisodePaths
 from agents.policy import make_policy, policy_names
 from agents.report import as_csv, as_markdown, write_evaluation

@@ -14,7 +14,8 @@ from markdown_tables import tables
 from scipy.stats import binom, expon
 
 from agents import cli, evaluation
-from agents.evaluation import Outcomes, fly, ratio_of_means
+from agents.comparison import ratio_of_means
+from agents.evaluation import fly
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
 from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies, unfit
@@ -24,6 +25,7 @@ from agents.leaderboard.standings import interval, resample, standing, verdict
 from agents.leaderboard.tried import TRIED
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
+from agents.outcomes import Outcomes
 from agents.policy import make_policy, policy_names
 from agents.pretrained import load_pretrained, pretrained_ids
 from passive_env.catalogue import SCENARIOS, environment_id, environment_ids, make_scenario
@@ -318,7 +320,8 @@ def test_cells_of_other_code_are_flown_again(tmp_path, monkeypatch):
 
 def test_code_digest_sees_what_decides_and_nothing_else(tmp_path, monkeypatch):
     decisive = ["agents/rules.py", "passive_env/b.py", "passive_env/data/d.csv", "trackers/a.py"]
-    for name in (*decisive, "passive_env/render_c.py", "agents/report.py", "agents/leaderboard/e.py"):
+    showing = ["passive_env/render_c.py", "passive_env/playback_f.py", "agents/report.py", "agents/leaderboard/e.py"]
+    for name in (*decisive, *showing):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
     monkeypatch.setattr(cells, "ROOT", tmp_path)

@@ -11,8 +11,8 @@ from scipy.stats import binom, kstest, norm
 from spoilt_trackers import SPOILT, spoilt_later
 from twin_worlds import assert_blind_to_truth, assert_twins_look_alike, fly_twins, random_decisions
 
+from agents.comparison import summarize
 from agents.evaluation import fly as fly_policy
-from agents.evaluation import summarize
 from agents.policy import make_policy
 from agents.report import as_csv, as_markdown
 from passive_env import PassiveEnv, PassiveVectorEnv

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import t as student
 from twin_worlds import SHIFT, assert_twins_look_alike, fly_twins, random_decisions
 
-from agents.evaluation import fly, fly_all, summarize
+from agents.comparison import summarize
+from agents.evaluation import fly, fly_all
 from agents.mobile_placement import BestStatic, Formation, Greedy, Static, StaticPromise, tracked
 from agents.placement import RULES, commands_of, even, layout_commands
 from agents.policy import make_policy, policy_names

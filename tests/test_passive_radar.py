@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 from scipy.stats import binom, kstest, norm
 
-from agents.evaluation import fly, summarize
+from agents.comparison import summarize
+from agents.evaluation import fly
 from agents.policy import make_policy
 from agents.report import as_markdown, write_evaluation
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import LEADS_DEG, Combinations
 from passive_env.blockage import Stretches, blocked, blocked_next
 from passive_env.catalogue import make_scenario
-from passive_env.catalogue.passive_radar import PAPER_SITES_M, PassiveRadar
+from passive_env.catalogue.passive_radar import PassiveRadar
 from passive_env.core import map_rows
 from passive_env.kinematics import plan_view
 from passive_env.radar_sensors import NEVER_S
+from passive_env.radar_sites import PAPER_SITES_M
 from passive_env.render_radar import sum_ellipse
 from passive_env.steering import lead_pursuit
 from trackers import RangeSumEkf, RangeSumEkfLiteral

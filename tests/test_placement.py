@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
-from agents.evaluation import fly, fly_all, summarize
+from agents.comparison import summarize
+from agents.evaluation import fly, fly_all
 from agents.placement import PLACEMENT, RULES, Promise, commands_of, layout_commands, spaced, stacked, stacked_or_even
 from agents.placement_pictures import placement_cards, placement_maps
 from agents.policy import make_policy, policy_names

@@ -11,7 +11,8 @@ import pytest
 import agents
 from agents import load_pretrained, pretrained_ids
 from agents.cli import main
-from agents.evaluation import fly, mean_interval
+from agents.comparison import mean_interval
+from agents.evaluation import fly
 from agents.learned import observation_digest
 from agents.model_card import pretrained_table, training_command, with_table
 from agents.packed import read_packed

@@ -20,8 +20,9 @@ from test_evaluation import record
 from test_learning_curves import ERROR, logged
 
 from agents import cli, run_report
+from agents.comparison import summarize
 from agents.curves import RATIO, REWARD
-from agents.evaluation import fly_all, summarize
+from agents.evaluation import fly_all
 from agents.main_job import compare
 from agents.policy import make_policy
 from agents.run_report import REPORT, Settings, command_line, comparison, duration, flat, write_run_report

@@ -401,26 +401,42 @@ def _bent(best, P, least, slope, width, prior, scans, none, trial, scratch, d):
 
 
 @helper
-def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
-    """Replace the mode best [3d] and its P [3d, 3d] by mean and covariance of a bent posterior, in place.
+def _lay_slabs(best, P, least, t, prior, scans, none, trial, scratch, slopes, sigma, widths, reach, d):
+    """Lay slabs across the ways in which the posterior after t seconds is wide and bent.
 
-    The posterior is cut across the ways in which it is wide and bent by Gaussian slabs whose sum is constant, and every
-    slab's part is taken for a Gaussian about its own mode.
+    Fills slopes [2, 3d] and sigma [2] m of the widest ways, the slabs' widths [2] m, and reach [2], how many of them
+    may lie to each side; along a way that is not bent it is 0, and the width infinite.
     """
-    n, ways = 3 * d, d - 1
-    N, trial = normal[0], normal[4]
-    slopes, places, widths = np.empty((2, n)), np.empty(2), np.empty(2)
-    sigma, reach = np.empty(2), np.zeros(2, np.int64)
-    least = _cost(best, prior, scans, none, scratch, d)
+    ways = d - 1
     _widest_ways(P, t, ways, slopes, sigma, d)
     for k in range(2):
+        reach[k] = 0
         if k < ways and _bent(best, P, least, slopes[k], sigma[k], prior, scans, none, trial, scratch, d):
             reach[k] = REACH
         widths[k] = SLAB * SPACING * sigma[k] if reach[k] > 0 else math.inf
-    if reach[0] + reach[1] == 0:
-        return
-    cells = (slopes, places, widths)
-    column, first, second, own = np.empty(n), np.zeros(n), np.zeros((n, n)), np.empty((n, n))
+
+
+@helper
+def _place_slab(best, slopes, sigma, reach, across, along, places, n):
+    """Middle of a slab, places [2] m: so many slabs off the mode along the first way, and along the second."""
+    for m in range(2):
+        places[m] = 0.0
+        for i in range(n):
+            places[m] += slopes[m, i] * best[i]
+    places[0] += across * SPACING * sigma[0] if reach[0] > 0 else 0.0
+    places[1] += along * SPACING * sigma[1] if reach[1] > 0 else 0.0
+
+
+@helper
+def _sum_slabs(best, least, prior, scans, cells, sigma, reach, normal, scratch, floor, x, first, second, d):
+    """Add up the parts in all slabs, each a Gaussian about its own mode; returns the sum of their weights.
+
+    Adds the parts' weighted moments about the mode best [3d] to first [3d] and second [3d, 3d]. Every part is fitted
+    from its neighbour's mode, from the middle outwards, until parts weigh nothing.
+    """
+    n = 3 * d
+    slopes, places = cells[0], cells[1]
+    column, own = np.empty(n), np.empty((n, n))
     total = reference = 0.0
     for side in (1, -1):
         column[:] = best
@@ -429,16 +445,11 @@ def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
             for other in (1, -1):
                 x[:] = column
                 for q in range((1 - other) // 2, reach[1] + 1):
-                    for m in range(2):
-                        places[m] = 0.0
-                        for i in range(n):
-                            places[m] += slopes[m, i] * best[i]
-                    places[0] += side * k * SPACING * sigma[0] if reach[0] > 0 else 0.0
-                    places[1] += other * q * SPACING * sigma[1] if reach[1] > 0 else 0.0
+                    _place_slab(best, slopes, sigma, reach, side * k, other * q, places, n)
                     cost = _minimise(x, prior, scans, cells, normal, scratch, ROUGHLY, d)
                     if other == 1 and q == 0:
                         column[:] = x
-                    weight = -0.5 * (cost - least) - _invert_into(N, n, own)
+                    weight = -0.5 * (cost - least) - _invert_into(normal[0], n, own)
                     if total == 0.0:
                         reference = weight
                     weight -= reference
@@ -453,6 +464,25 @@ def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
                             second[i, j] += share * (own[i, j] + (x[i] - best[i]) * (x[j] - best[j]))
             if most < NEGLIGIBLE:
                 break
+    return total
+
+
+@helper
+def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
+    """Replace the mode best [3d] and its P [3d, 3d] by mean and covariance of a bent posterior, in place.
+
+    The posterior is cut across the ways in which it is wide and bent by Gaussian slabs whose sum is constant, and every
+    slab's part is taken for a Gaussian about its own mode.
+    """
+    n = 3 * d
+    slopes, places, widths = np.empty((2, n)), np.empty(2), np.empty(2)
+    sigma, reach = np.empty(2), np.zeros(2, np.int64)
+    least = _cost(best, prior, scans, none, scratch, d)
+    _lay_slabs(best, P, least, t, prior, scans, none, normal[4], scratch, slopes, sigma, widths, reach, d)
+    if reach[0] + reach[1] == 0:
+        return
+    cells, first, second = (slopes, places, widths), np.zeros(n), np.zeros((n, n))
+    total = _sum_slabs(best, least, prior, scans, cells, sigma, reach, normal, scratch, floor, x, first, second, d)
     if total == 0.0:
         return
     for i in range(n):

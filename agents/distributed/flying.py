@@ -12,7 +12,8 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from agents.distributed.cluster import cluster
-from agents.evaluation import Engine, Flight, Record, blocks_of, fly_block, joined
+from agents.evaluation import Engine, Flight, blocks_of, fly_block, joined
+from agents.outcomes import Record
 from agents.policy import Policy
 from trackers.compiled import available_cores, single_thread
 

@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from agents.evaluation import Engine, Flight, Outcomes, here
+from agents.evaluation import Engine, Flight, here
 from agents.files import atomic_write
 from agents.leaderboard.contestants import KINDS, Contestant
+from agents.outcomes import Outcomes
 from agents.provenance import versions
 
 FORMAT = 1
@@ -37,11 +38,14 @@ ROOT = Path(__file__).parents[2]
 SHOWING = (
     "animation", "artists", "cli", "curves", "earth_frame", "episode_arrays", "export", "layers", "main_job",
     "maneuvers", "mixture", "model_card", "pack", "page", "palette", "parallel", "parameter_sharing",
-    "pettingzoo_env", "pictures", "placement_pictures", "playback", "provenance", "recording", "recording_file",
+    "pettingzoo_env", "pictures", "placement_pictures", "provenance", "recording", "recording_file",
     "registration", "replay", "replay_job", "replay_record", "report", "run_report", "stone_soup", "svg",
     "team_vector_env", "track", "track_files", "track_pictures", "track_sample", "training", "tuning",
 )  # fmt: skip
-"""Modules that draw, write, train and talk to others: no episode of an evaluation depends on them."""
+"""Modules that draw, write, train and talk to others: no episode of an evaluation depends on them …"""
+
+SHOWING_FAMILIES = ("playback", "render")
+"""… nor on those whose names begin so: they show what scenarios do, and track what was recorded."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ def code_digest() -> str:
         *(ROOT / "passive_env" / "data").iterdir(),
         *(ROOT / "agents").glob("*.py"),
     ]
-    decisive = [p for p in sources if p.is_file() and p.stem not in SHOWING and not p.stem.startswith("render")]
+    decisive = [p for p in sources if p.is_file() and p.stem not in SHOWING and not p.stem.startswith(SHOWING_FAMILIES)]
     digest = hashlib.sha256()
     for path in sorted(set(decisive)):
         content = path.read_bytes()

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.evaluation import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.leaderboard.pictures import overview
 from agents.leaderboard.standings import BASES
 from agents.leaderboard.tried import TRIED
+from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.report import flatten, percent, table
 
 PICTURE = "leaderboard.png"

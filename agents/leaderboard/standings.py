@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.evaluation import RESAMPLES, Outcomes, figures_of
+from agents.comparison import RESAMPLES, figures_of
 from agents.leaderboard.contestants import KINDS, Contestant
+from agents.outcomes import Outcomes
 from agents.report import headline as headline_of
 from agents.report import metrics_of, verdict
 

@@ -22,28 +22,22 @@ from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario
 from passive_env.kinematics import MANEUVER_UNIFORMS, plan_view, random_maneuvers, turn, turn_and_climb
 from passive_env.layers import Instant
+from passive_env.radar_courses import corridor, disturbed, part_of
 from passive_env.radar_metrics import RadarFigures
 from passive_env.radar_observation import FORESEEN_SCANS, RadarObservation
 from passive_env.radar_promise import Foresight, Promise
 from passive_env.radar_sensors import Receiver, SumReceiver
 from passive_env.radar_simulation import RadarSimulation
+from passive_env.radar_sites import PAPER_SITES_M, SITE_NAMES, checked_sites, draw_transmitters
 from passive_env.radar_tape import Echoes, RadarTape
 from passive_env.scenario import choice, flag, free, integer, number
 from passive_env.tape import Reader, draw
 from passive_env.truth import RadarTruthObservation
 from trackers import RANGE_SUM_TRACKERS
-from trackers.compiled import kernel
 
 START_UNIFORMS = 7
 """Uniform numbers of an episode's start: corridor's direction, distance and way along it, speed, altitude, recorded
 flight, receiver's heading."""
-
-PAPER_SITES_M: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "paper_poor": ((0.0, 0.0, 0.0), (-32e3, -33e3, 50.0), (0.0, -45e3, 60.0), (-10e3, -90e3, 100.0)),
-    "paper_good": ((-36e3, 0.0, 100.0), (-108e3, -124.7e3, 0.0), (-108e3, 124.7e3, 0.0), (108e3, 0.0, 0.0)),
-}
-"""Receiver, then transmitters of the paper's layouts. In print the good one has its second transmitter where the first
-is, which would leave two range sums; with the other sign of y the three are the triangle of which the text speaks."""
 
 PAPER_TARGET = (-100e3, 150e3, 10e3, 200.0, -100.0, 0.0)
 PAPER_GUESS = (-80e3, 130e3, 8e3, 0.0, 0.0, 0.0)
@@ -53,11 +47,6 @@ PAPER_GUESS_STD_M = 20e3
 RESTART_STD_M, START_TURNING_M_S2 = 10e3, 1.0
 """How far off a lost track is looked for, and the mean acceleration that a target may have had while its track started,
 where targets turn."""
-
-FARTHEST_SITE_M = 1e7
-
-LEAST_ANGLE_SIN = 1e-6
-"""Sine of the angle between two sites' directions from the receiver below which they count as one line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,38 +194,13 @@ class PassiveRadar(TrackingScenario):
             )
 
     def _check_sites(self) -> None:
-        """Refuse layouts in which range sums cannot fix a position; keeps coordinates as tuples.
-
-        Raises:
-            ValueError: an unknown name, coordinates that are none, sites that coincide or all lie on one line.
-        """
-        if isinstance(self.sites, str):
-            if self.sites not in ("random", *PAPER_SITES_M):
-                names = ", ".join(map(repr, ("random", *PAPER_SITES_M)))
-                raise self._error("sites", f"must be one of {names}, or coordinates [m] of receiver and transmitters")
+        """Refuse layouts in which range sums cannot fix a position; keeps coordinates as tuples."""
+        if isinstance(self.sites, str) and self.sites in SITE_NAMES:
             return
         try:
-            sites = np.array(self.sites, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise self._error("sites", "must be a name, or coordinates [m] of receiver and transmitters") from error
-        if sites.ndim != 2 or len(sites) < 3 or sites.shape[1] not in (self.dimensions, 3):
-            raise self._error("sites", f"must be 3 points or more of {self.dimensions} coordinates, the receiver first")
-        if not np.isfinite(sites).all():
-            raise self._error("sites", "every coordinate must be a finite number [m]")
-        if np.abs(sites).max() > FARTHEST_SITE_M:
-            raise self._error("sites", f"every coordinate must lie within {FARTHEST_SITE_M:.0f} m of the origin")
-        if len(sites) > 17:
-            raise self._error("sites", "must be a receiver and 16 transmitters at most")
-        gaps = np.linalg.norm((sites[:, None] - sites)[..., :2], axis=-1) + np.eye(len(sites)) * 1e9
-        if gaps.min() < 1.0:
-            a, b = (int(i) for i in np.unravel_index(gaps.argmin(), gaps.shape))
-            raise self._error("sites", f"points {a} and {b} coincide: move one, or leave it out")
-        away = sites[1:, :2] - sites[0, :2]
-        away /= np.linalg.norm(away, axis=-1, keepdims=True)
-        crossing = away[:, None, 0] * away[:, 1] - away[:, None, 1] * away[:, 0]
-        if np.abs(crossing).max() < LEAST_ANGLE_SIN:
-            raise self._error("sites", "all points lie on one line, across which range sums tell nothing: move some")
-        object.__setattr__(self, "sites", tuple(tuple(float(value) for value in site) for site in sites))
+            object.__setattr__(self, "sites", checked_sites(self.sites, self.dimensions))
+        except ValueError as error:
+            raise self._error("sites", str(error)) from error
 
     # -- what follows from the fields ----------------------------------------------------------------------------------
 
@@ -384,7 +348,7 @@ class PassiveRadar(TrackingScenario):
         )  # fmt: skip
         guess = path[:, 0] + self.guess_std * z[:, : 2 * d]
         if self.course == "paper":
-            guess[:] = _part(PAPER_GUESS, d)
+            guess[:] = part_of(PAPER_GUESS, d)
         platforms = self._draw_receiver(first_u[:, 6])
         length = self.step_s * instants
         z, u = draw(generators, instants * n, n * (3 + self.stretches.uniforms(length)) + instants * n)
@@ -425,7 +389,7 @@ class PassiveRadar(TrackingScenario):
                 self.altitude_max_m,
             ]
         )  # fmt: skip
-        start = _corridor(u, limits, np.empty(6))
+        start = corridor(u, limits, np.empty(6))
         if self.course == "flights":
             windows = self.flight_paths.windows(u[:, 5], instants - 1)
             path = place_flight(plan_view(start), windows) if d == 2 else place_flight_in_space(start, windows)
@@ -434,7 +398,7 @@ class PassiveRadar(TrackingScenario):
             start[:] = PAPER_TARGET
         level, acceleration = self._fly(plan_view(start), legs, instants)
         noise_std = np.sqrt(self.process_noise[:d])
-        return _disturbed(level, _part(start, d), z, noise_std, self.step_s), acceleration
+        return disturbed(level, part_of(start, d), z, noise_std, self.step_s), acceleration
 
     def _fly(self, start: np.ndarray, legs: np.ndarray, instants: int) -> tuple[np.ndarray, np.ndarray]:
         """Level paths [e, t, 4] and accelerations [e, t, 2] of undisturbed targets from starts [e, 4]."""
@@ -468,50 +432,7 @@ class PassiveRadar(TrackingScenario):
         if self._layout is not None:
             return np.tile(self._layout[1:], (len(u), 1, 1))
         limits = np.array([self.site_range_min_m, self.site_range_max_m, self.site_height_max_m])
-        return _transmitters(u, limits, np.empty(self.dimensions))
-
-
-def _part(state: Any, d: int) -> np.ndarray:
-    """States [..., 2d] of states in space [..., 6]."""
-    state = np.asarray(state)
-    return plan_view(state) if d == 2 else state
-
-
-@kernel("(c),(l),(x6)->(x6)", "FFFF")
-def _corridor(u, limits, like, start):
-    """A target's start [6] on its way past the origin."""
-    course, sign = 2.0 * math.pi * u[0], 1.0 if u[1] < 0.5 else -1.0
-    aside = sign * (limits[0] + (limits[1] - limits[0]) * abs(2.0 * u[1] - 1.0))
-    ahead = limits[2] + (limits[3] - limits[2]) * u[2]
-    speed = limits[4] + (limits[5] - limits[4]) * u[3]
-    c, s = math.cos(course), math.sin(course)
-    start[0], start[1] = -ahead * c - aside * s, -ahead * s + aside * c
-    start[2] = limits[6] + (limits[7] - limits[6]) * u[4]
-    start[3], start[4], start[5] = speed * c, speed * s, 0.0
-
-
-@kernel("(t,x),(y),(q,d),(d),()->(t,y)", "FFFFfF")
-def _disturbed(level, start, z, std, T, path):
-    """A level path, at the start's height, and what white accelerations that are held over each step add to it."""
-    d = std.shape[0]
-    for j in range(d):
-        moved = gained = 0.0
-        for t in range(level.shape[0]):
-            if t > 0:
-                push = T * std[j] * z[t - 1, j]
-                moved += T * (gained + 0.5 * push)
-                gained += push
-            path[t, j] = moved + (level[t, j] if j < 2 else start[2] + T * t * start[5])
-            path[t, d + j] = gained + (level[t, 2 + j] if j < 2 else start[5])
-
-
-@kernel("(n,q),(l),(d)->(n,d)", "FFFF")
-def _transmitters(u, limits, like, sites):
-    for n in range(u.shape[0]):
-        azimuth, away = 2.0 * math.pi * u[n, 0], limits[0] + (limits[1] - limits[0]) * u[n, 1]
-        sites[n, 0], sites[n, 1] = away * math.cos(azimuth), away * math.sin(azimuth)
-        if like.shape[0] == 3:
-            sites[n, 2] = limits[2] * u[n, 2]
+        return draw_transmitters(u, limits, np.empty(self.dimensions))
 
 
 CATALOGUE: dict[str, PassiveRadar] = {

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from passive_env.catalogue.passive_radar import PAPER_GUESS, PAPER_SITES_M, PAPER_TARGET
+from passive_env.catalogue.passive_radar import PAPER_GUESS, PAPER_TARGET
+from passive_env.radar_sites import PAPER_SITES_M
 from trackers import Gaussian, RangeSumEkf, RangeSumEkfLiteral, RangeSumScan, RangeSumTrack
 from trackers.axis_motion import axis_noise
 from trackers.range_sum import range_sum
