@@ -132,6 +132,9 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
 def _limits(description: Mapping[str, Any]) -> list[str]:
     scenario = {name: value for name, value in description["scenario"].items() if not name.startswith("reward_")}
     course = f"course={scenario['course']!r}" if "course" in scenario else "the registered courses"
+    share = 0.0 if "course" in description["fields"] else description["preset"].get("flights_share", 0.0)
+    if share > 0.0:
+        course += f", in {100.0 * share:.0f} % of the environments on recorded flights"
     return [
         f"It is for {description['environment']} alone: loading refuses any scenario whose observation or actions "
         f"differ (digest {description['observation_digest']}, interface {description['interface']}). Trained on "
