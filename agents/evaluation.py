@@ -1,7 +1,8 @@
 """Flying policies through episodes, all of them on the same tapes.
 
 Episode i of every policy draws its tape from seed + i, so targets, noise, detections and false bearings are the same
-for all; what differs is only where the platforms went (`agents.comparison`).
+for all; what differs is only where the platforms went. What is kept of them: `agents.outcomes`; how policies are
+compared: `agents.comparison`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from agents.comparison import ratio_of_means as ratio_of_means  # users find it beside `fly`
 from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS, Record, nees_scale
 from agents.pictures import EpisodePaths
 from agents.policy import Policy, sees_world

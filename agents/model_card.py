@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.files import write_text
-from agents.presets import load_preset
+from agents.presets import flights_share, load_preset
 from agents.pretrained import pretrained_ids, read_record
 from agents.reproduction.report import markdown_table
 from passive_env.catalogue import scenario_name
@@ -131,10 +131,10 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
 
 def _limits(description: Mapping[str, Any]) -> list[str]:
     scenario = {name: value for name, value in description["scenario"].items() if not name.startswith("reward_")}
+    scenario |= description["interface"]
     course = f"course={scenario['course']!r}" if "course" in scenario else "the registered courses"
-    share = 0.0 if "course" in description["fields"] else description["preset"].get("flights_share", 0.0)
-    if share > 0.0:
-        course += f", in {100.0 * share:.0f} % of the environments on recorded flights"
+    if (share := flights_share(description["preset"], description["fields"])) > 0.0:
+        course += f", in {100.0 * share:.0f} % of the environments on recorded flights of the training part"
     return [
         f"It is for {description['environment']} alone: loading refuses any scenario whose observation or actions "
         f"differ (digest {description['observation_digest']}, interface {description['interface']}). Trained on "

@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.steering import level_flight
 from passive_env.belief import Belief
+from passive_env.catalogue.maneuvering import OPENING_DEG
 from passive_env.steering import course, line_of_sight, outward, shorter_sides, towards
 from trackers.angles import wrap
 
@@ -163,11 +164,11 @@ class OpenBaseline:
 
     def reset(self, belief: Belief) -> None:
         """Decide who crosses."""
-        straight = outward(belief.platforms, belief.mean)
         self._sides = shorter_sides(
-            belief.platforms, belief.mean, self._wide, self._turn_per_step, self._way_per_step, self._cross
-        )
-        self._crossed = (self._sides != straight).all(axis=1, keepdims=True)
+            belief.platforms, belief.mean, angle=self._wide, worth=self._cross, turn_per_step=self._turn_per_step,
+            way_per_step=self._way_per_step,
+        )  # fmt: skip
+        self._crossed = self._sides[:, :1] != outward(belief.platforms, belief.mean)[:, :1]  # all of them, or none
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:
         """Turn towards the angle of the moment at the limit; full speed until the stations stop."""
@@ -341,7 +342,7 @@ is best in the final error where platforms turn fast."""
 
 OPENINGS = {
     "open": (75.0, 75.0, 90.0, 180.0),
-    "rule_bend": (85.0, 20.0, 70.0, 90.0),
+    "rule_bend": (OPENING_DEG, 20.0, 70.0, 90.0),
 }
 """Angles of `OpenBaseline`, in its order: outwards at full speed; turning on the spot and bending forward.
 

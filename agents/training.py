@@ -30,7 +30,7 @@ from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.mixture import JoinedVecEnv, recorded_environments
 from agents.policy import make_policy, policy_names
-from agents.presets import load_preset
+from agents.presets import flights_share, load_preset
 from agents.provenance import commit, versions
 from agents.sb3 import Sb3VecEnv
 from agents.transmitter_network import TransmitterPolicy, network_settings
@@ -203,7 +203,7 @@ def check_folder(run: Run, resume: bool) -> None:
 
 def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
     """The environments to learn in, the last ones with recorded courses (`flights_share`)."""
-    scenario, share = run.training_scenario, flights_share(run)
+    scenario, share = run.training_scenario, flights_share(run.preset, run.fields)
     if share == 0.0:
         return _vector_env(scenario, run.envs, run.asymmetric)
     recorded = recorded_environments(run.envs, share)
@@ -213,11 +213,6 @@ def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
             _vector_env(scenario.replace(course="flights", flight_split="train"), recorded, run.asymmetric),
         ]
     )
-
-
-def flights_share(run: Run) -> float:
-    """Share of environments with recorded courses while a run learns; 0 where the user chose the course."""
-    return 0.0 if "course" in run.fields else run.preset.get("flights_share", 0.0)
 
 
 def _vector_env(scenario: Any, envs: int, truth: bool) -> Sb3VecEnv:

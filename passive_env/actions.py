@@ -122,7 +122,7 @@ class Headings(Continuous):
         return np.concatenate([np.nan_to_num(off) / math.pi, commands[:, n:]], axis=1).astype(np.float32)
 
     def mirrored(self, actions: np.ndarray) -> np.ndarray:
-        """Actions [..., a] that do in the mirrored world what these do here: outwards stays outwards."""
+        """Actions [..., a] that do in the mirrored world what these do here: sides are the platforms' own."""
         return actions
 
 
@@ -130,7 +130,8 @@ class HeadingsAndSpeeds(Headings):
     """Headings as of `Headings`, then speeds from the lowest, −1, to the highest.
 
     Positive is the side on which the baseline is sooner opened (`passive_env.steering.shorter_sides`): outwards, or for
-    all platforms the opposite if that saves much turning. They cross each other's way then, and are outside after it.
+    both of two platforms the opposite if that saves much turning. They cross each other's way then, and are outside
+    after it. Sides are named anew at every step, so headings far from `opening_angle` may change them on the way.
 
     A platform that flies more than 90° off the heading, and farther off than a step turns it, turns at its lowest
     speed, on the spot if that is 0, whatever its speed should be then: the way flown meanwhile would have to be flown
@@ -139,15 +140,16 @@ class HeadingsAndSpeeds(Headings):
     Args:
         as of `Headings`; there is a speed per platform.
         way_per_step: longest way in a step [m].
-        angle, worth: off the line of sight [rad] and of crossing, as of `shorter_sides`.
+        opening_angle, crossing_worth: angle [rad] and worth of `shorter_sides`; more than two platforms never cross.
     """
 
     def __init__(
-        self, size: int, platforms: int, turn_per_step: float, way_per_step: float, angle: float, worth: float,
-        odd: Sequence[bool] | None = None,
+        self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None, *,
+        way_per_step: float, opening_angle: float, crossing_worth: float,
     ):  # fmt: skip
         super().__init__(size, platforms, turn_per_step, odd)
-        self._way_per_step, self._angle, self._worth = way_per_step, angle, worth
+        self._way_per_step, self._opening_angle = way_per_step, opening_angle
+        self._crossing_worth = crossing_worth if platforms == 2 else math.inf
         self._slow_beyond = max(0.5 * math.pi, 1.001 * turn_per_step)  # beyond what rounding adds to a step's turn
 
     def commands(self, values: np.ndarray, belief: Belief) -> np.ndarray:
@@ -159,8 +161,9 @@ class HeadingsAndSpeeds(Headings):
     def _sides(self, belief: Belief) -> np.ndarray:
         """+1 [e, s] where positive headings are left of the line of sight, −1 where right."""
         return shorter_sides(
-            belief.platforms, belief.mean, self._angle, self._turn_per_step, self._way_per_step, self._worth
-        )
+            belief.platforms, belief.mean, angle=self._opening_angle, worth=self._crossing_worth,
+            turn_per_step=self._turn_per_step, way_per_step=self._way_per_step,
+        )  # fmt: skip
 
 
 class Discrete:

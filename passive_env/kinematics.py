@@ -167,6 +167,11 @@ def plan_view(states):
     return states if states.shape[-1] == 4 else states[..., [0, 1, 3, 4]]
 
 
+def in_dimensions(states, d: int):
+    """States [..., 2d] of states in space [..., 6]: in the plane (d = 2) their plan view, in space as they are."""
+    return plan_view(states) if d == 2 else states
+
+
 @helper
 def _fly(state, t, end, turn_rate, turn_window, acceleration, acceleration_window):
     """Move a state from time t to end, exact over pieces between the instants at which a window opens or closes."""

@@ -3,18 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numpy as np
-
-from passive_env.kinematics import plan_view
 from trackers.compiled import kernel
-
-
-def part_of(state: Any, d: int) -> np.ndarray:
-    """States [..., 2d] of states in space [..., 6]."""
-    state = np.asarray(state)
-    return plan_view(state) if d == 2 else state
 
 
 @kernel("(c),(l),(x6)->(x6)", "FFFF")
@@ -25,7 +15,7 @@ def corridor(u, limits, like, start):
         u: [..., 5 or more] uniform: direction, distance and side, way ahead, speed, altitude; more are not used.
         limits: [8] least and largest distance of the corridor [m], way to its nearest point [m], speed [m/s], altitude
             [m].
-        like: [6], its length alone tells.
+        like: [6], any numbers: only its length counts, for numba's sake.
     """
     course, sign = 2.0 * math.pi * u[0], 1.0 if u[1] < 0.5 else -1.0
     aside = sign * (limits[0] + (limits[1] - limits[0]) * abs(2.0 * u[1] - 1.0))

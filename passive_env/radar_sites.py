@@ -27,7 +27,7 @@ LEAST_ANGLE_SIN = 1e-6
 
 
 def checked_sites(sites: Any, dimensions: int) -> tuple[tuple[float, ...], ...]:
-    """Coordinates [m] of receiver and transmitters, as a user gave them.
+    """Coordinates [m] of receiver and transmitters, as a user gave them in place of a name.
 
     Args:
         sites: [1 + n, dimensions or 3] m.

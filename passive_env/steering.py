@@ -89,25 +89,27 @@ def outward(platforms: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 def shorter_sides(
-    platforms: np.ndarray, mean: np.ndarray, angle: float, turn_per_step: float, way_per_step: float, worth: float
+    platforms: np.ndarray, mean: np.ndarray, *, angle: float, worth: float, turn_per_step: float, way_per_step: float
 ) -> np.ndarray:
     """Sides [..., s] as of `outward`, or for all platforms the opposite ones where opening to those is sooner done.
 
     All go to the other side, crossing each other's way, where that saves the average one more steps of turning than
-    `worth` times those it takes to fly the longest baseline. Platforms that cross stay on their way, for it saves them
-    ever more to turn.
+    `worth` times those it takes to fly the longest baseline. Two platforms that then turn to `angle` stay on their way,
+    for it saves them ever more to turn. Of more than two an inner pair passes before the others do: decide but once.
 
     Args:
         platforms, mean: as of `outward`.
         angle: off its own line of sight to which a platform turns [rad].
-        turn_per_step, way_per_step: largest turn [rad] and longest way [m] in a step.
         worth: infinite never crosses.
+        turn_per_step, way_per_step: largest turn [rad] and longest way [m] in a step.
     """
     sides = outward(platforms, mean)
+    if math.isinf(worth):
+        return sides
     off = course(platforms) - line_of_sight(platforms, mean)
     turning, otherwise = (np.abs(wrap(side * angle - off)).mean(axis=-1) for side in (sides, -sides))
     saved = (turning - otherwise) / max(turn_per_step, 1e-12)
-    crossing = saved > worth * _longest_baseline(platforms) / way_per_step
+    crossing = saved > worth * _longest_baseline(platforms) / max(way_per_step, 1e-12)
     return np.where(crossing[..., None], -sides, sides)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from agents.evaluation import fly
 from agents.learned import LearnedPolicy, observation_digest, read_config
+from agents.policy import make_policy
 from agents.presets import load_preset
 from agents.rules import HoldOffSight, OpenBaseline
 from agents.sb3 import Sb3VecEnv
@@ -15,12 +16,13 @@ from agents.training import Run, begin_with, new_model, plan, train
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.actions import Headings, HeadingsAndSpeeds
 from passive_env.catalogue import make_scenario
+from passive_env.catalogue.maneuvering import OPENING_DEG
 from passive_env.core import Simulation
 from passive_env.steering import course, left_to_turn, line_of_sight, outward, shorter_sides
 from trackers.angles import wrap
 
 LIMIT = np.radians(10.0)
-WAY = 250.0
+WAY, OPENING = 250.0, np.radians(OPENING_DEG)
 ID = "passive/AngleFusion-v0"
 
 
@@ -36,7 +38,9 @@ def codec(size=2, odd=None):
 
 
 def with_speeds(turn_per_step):
-    return HeadingsAndSpeeds(4, 2, turn_per_step, WAY, np.radians(85.0), 2.25, [True, True, False, False])
+    return HeadingsAndSpeeds(
+        4, 2, turn_per_step, [True, True, False, False], way_per_step=WAY, opening_angle=OPENING, crossing_worth=2.25
+    )
 
 
 def test_outward_is_left_for_the_left_platform():
@@ -82,9 +86,7 @@ def test_what_is_left_to_turn_is_the_same_compiled_and_written_out():
         env.reset(seed=0)
         belief = env.belief()
         off = np.random.default_rng(0).uniform(-np.pi, np.pi, belief.platforms.shape[:2])
-        aim = line_of_sight(belief.platforms, belief.mean) + outward(belief.platforms, belief.mean) * off
-        expected = wrap(aim - course(belief.platforms))
-        off = outward(belief.platforms, belief.mean) * off
+        expected = wrap(line_of_sight(belief.platforms, belief.mean) + off - course(belief.platforms))
         np.testing.assert_allclose(left_to_turn(belief.platforms, belief.mean, off), expected, atol=1e-9)
 
 
@@ -107,37 +109,80 @@ def test_a_heading_is_an_angle_off_the_platforms_own_line_of_sight():
         np.testing.assert_allclose(codec().commands(values, belief), [expected], atol=1e-12)
 
 
+def sides_of(belief, worth):
+    return shorter_sides(
+        belief.platforms, belief.mean, angle=OPENING, worth=worth, turn_per_step=LIMIT, way_per_step=WAY
+    )
+
+
 @pytest.mark.parametrize(("worth", "expected"), [(2.0, [1.0, -1.0]), (2.25, [-1.0, 1.0]), (np.inf, [-1.0, 1.0])])
 def test_platforms_cross_where_that_saves_enough_turning(worth, expected):
     """Both would turn by 170°, 17 steps, to open the baseline of 2 km, 8 steps long; across they need not turn."""
     belief = belief_of([(0.0, -1000.0), (0.0, 1000.0)], [85.0, -85.0], target=(1e9, 0.0))
-    sides = shorter_sides(belief.platforms, belief.mean, np.radians(85.0), LIMIT, WAY, worth)
-    assert np.array_equal(sides, [expected])
+    assert np.array_equal(sides_of(belief, worth), [expected])
 
 
 def test_a_diverged_track_makes_nobody_cross():
     belief = belief_of([(0.0, -1000.0), (0.0, 1000.0)], [85.0, -85.0], target=(np.nan, 0.0))
-    sides = shorter_sides(belief.platforms, belief.mean, np.radians(85.0), LIMIT, WAY, 0.0)
-    assert np.array_equal(sides, outward(belief.platforms, belief.mean))
-    actions = with_speeds(LIMIT)
-    assert np.array_equal(actions.commands(np.array([[0.5, 0.5, 1.0, 1.0]]), belief), [[0.0, 0.0, 1.0, 1.0]])
+    assert np.array_equal(sides_of(belief, 0.0), outward(belief.platforms, belief.mean))
+    commands = with_speeds(LIMIT).commands(np.array([[0.5, 0.5, 1.0, 1.0]]), belief)
+    assert np.array_equal(commands, [[0.0, 0.0, 1.0, 1.0]])
 
 
-def test_who_crosses_decided_at_every_step_is_who_crosses_decided_once():
+@pytest.mark.parametrize(
+    ("fields", "least", "most"),
+    [({}, 0.05, 0.5), ({"course": "flights"}, 0.0, 0.0), ({"carrier": "ground"}, 0.0, 0.0)],
+    ids=["drawn", "flights", "ground"],
+)
+def test_who_crosses_decided_at_every_step_is_who_crosses_decided_once(fields, least, most):
     """A constant heading action is the rule, which remembers its decision, until targets pass between the stations."""
-    worlds = [PassiveVectorEnv("ManeuveringTarget", num_envs=256, actions=kind) for kind in ("headings", "continuous")]
+    worlds = [
+        PassiveVectorEnv("ManeuveringTarget", num_envs=256, actions=kind, **fields)
+        for kind in ("headings", "continuous")
+    ]
     for env in worlds:
         env.reset(seed=0)
-    rule = OpenBaseline(worlds[1].scenario, 85.0, cross=2.25)
-    rule.reset(worlds[1].belief())
-    assert 0.05 < rule._crossed.mean() < 0.5
-    heading = np.tile(np.array([85.0 / 180.0, 85.0 / 180.0, 1.0, 1.0], dtype=np.float32), (256, 1))
+    scenario, belief = worlds[1].scenario, worlds[1].belief()
+    rule = OpenBaseline(scenario, OPENING_DEG, cross=scenario.crossing_worth)
+    rule.reset(belief)
+    sides = shorter_sides(
+        belief.platforms, belief.mean, angle=OPENING, worth=scenario.crossing_worth,
+        turn_per_step=np.radians(scenario.max_turn_rate_deg_s), way_per_step=scenario.top_speed_m_s,
+    )  # fmt: skip
+    assert least <= (sides != outward(belief.platforms, belief.mean)).all(axis=1).mean() <= most
+    heading = np.tile(np.array([OPENING_DEG / 180.0, OPENING_DEG / 180.0, 1.0, 1.0], dtype=np.float32), (256, 1))
     for _ in range(40):
         belief = worlds[1].belief()
         worlds[0].step(heading)
         worlds[1].step(rule.act(belief, np.empty(0)).astype(np.float32))
     first, second = (env.belief().platforms for env in worlds)
     np.testing.assert_allclose(first, second, atol=1e-2)
+
+
+@pytest.mark.parametrize("stations", [3, 4])
+def test_more_than_two_stations_open_outwards(stations):
+    env = PassiveVectorEnv("ManeuveringTarget", num_envs=256, actions="headings", stations=stations)
+    env.reset(seed=0)
+    belief, actions = env.belief(), env.simulation.actions
+    off = np.full((256, stations), 85.0 / 180.0)
+    commands = actions.commands(np.concatenate([off, np.ones_like(off)], axis=1), belief)
+    sides = outward(belief.platforms, belief.mean)
+    aim = line_of_sight(belief.platforms, belief.mean) + sides * OPENING
+    turns = np.clip(wrap(aim - course(belief.platforms)) / np.radians(5.0), -1.0, 1.0)
+    np.testing.assert_allclose(commands[:, :stations], turns, atol=1e-9)
+
+
+def test_the_strongest_rule_crosses_where_the_scenario_says():
+    for course_of, crosses in (("random", True), ("flights", False)):
+        scenario = make_scenario("ManeuveringTarget", {"course": course_of})
+        env = PassiveVectorEnv(scenario, num_envs=256)
+        env.reset(seed=0)
+        belief = env.belief()
+        rules = [make_policy(name, scenario) for name in ("rule", "rule_bend")]
+        for rule in rules:
+            rule.reset(belief)
+        first, second = (rule.act(belief, np.empty(0)) for rule in rules)
+        assert np.array_equal(first, second) != crosses
 
 
 def test_climbs_pass_unchanged():

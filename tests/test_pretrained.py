@@ -55,7 +55,7 @@ def test_a_card_names_command_seed_time_numbers_and_limits(environment):
     for error in read_record(environment)["recorded"]["errors"].values():
         assert f"{error['mean']:.4g}" in text
     assert description["commit"] in text
-    assert ("recorded flights, with the tracker" in text) == ("flights_share" in description["preset"])
+    assert ("recorded flights of the training part" in text) == ("flights_share" in description["preset"])
 
 
 @pytest.mark.parametrize("environment", pretrained_ids())

@@ -29,13 +29,13 @@ from agents.distributed.env_runner import FINAL_ERROR, PassiveEnvRunner
 from agents.distributed.module import module_spec, take_weights
 from agents.files import write_json
 from agents.learned import CONFIG, MODEL, load_model
+from agents.presets import flights_share
 from agents.training import (
     FINAL_RATE,
     Clock,
     Run,
     Yardstick,
     check_folder,
-    flights_share,
     flown,
     new_model,
     rollout_steps,
@@ -109,7 +109,7 @@ def configuration(run: Run, model: BaseAlgorithm) -> PPOConfig:
     low = FINAL_RATE * rate
     decay = [[0, rate], [int((1.0 - FINAL_RATE) * run.timesteps), low], [run.timesteps, low]]
     settings_of_env = {**run.preset.get("scenario", {}), **run.fields, "truth": run.asymmetric}
-    settings_of_env |= {"first_seed": training_seed(run.seed), "flights_share": flights_share(run)}
+    settings_of_env |= {"first_seed": training_seed(run.seed), "flights_share": flights_share(run.preset, run.fields)}
     return (
         PPOConfig()
         .environment(

@@ -6,6 +6,7 @@ A file of a scenario's own name says only in what that scenario differs from its
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
@@ -27,6 +28,11 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
             f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"
         )
     return presets[algo]
+
+
+def flights_share(preset: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
+    """Share of environments with recorded courses while a run learns; 0 where the user's fields chose the course."""
+    return 0.0 if "course" in fields else preset.get("flights_share", 0.0)
 
 
 def _read(name: str) -> dict[str, Any]:

@@ -37,14 +37,14 @@ from trackers.imm_mie import MIXINGS, ImmMie
 
 ACTIONS = ("continuous", "headings", "discrete")
 
-OPENING = math.radians(85.0)
+OPENING_DEG = 85.0
 """Off the line of sight: where stations turn first when they open the baseline."""
 
 CROSSING_WORTH = 2.25
-"""Of `passive_env.steering.shorter_sides`: two aircraft that turn by 5°/s cross where it saves them 180° in sum.
+"""Of `passive_env.steering.shorter_sides`: aircraft 2 km apart, at 250 m/s and 5°/s, cross to save 180° in sum.
 
 Crossing pays later: on recorded flights, which turn less than drawn targets and often at once, nobody crosses. Tuned
-with the rules' angles (`agents.rules.OPENINGS`)."""
+with the angles of the strongest rule."""
 
 START_UNIFORMS = 6
 """Uniform numbers of an episode's start besides the stations' headings: line of sight, range, tilt of the baseline,
@@ -190,7 +190,7 @@ class ManeuveringTarget(TrackingScenario):
 
     @property
     def crossing_worth(self) -> float:
-        """How much time the stations take to cross each other's way to save turning; see `shorter_sides`."""
+        """Steps of turning that one step on the way across must save (`shorter_sides`); infinite: nobody crosses."""
         return math.inf if self.course == "flights" else CROSSING_WORTH
 
     # -- the parts the core asks for ---------------------------------------------------------------------------------
@@ -221,10 +221,10 @@ class ManeuveringTarget(TrackingScenario):
         odd = [True] * self.stations + [False] * self.stations
         if self.actions == "headings":
             turn_per_step = math.radians(self.max_turn_rate_deg_s) * self.step_s
-            way_per_step = self.top_speed_m_s * self.step_s
             return HeadingsAndSpeeds(
-                len(odd), self.stations, turn_per_step, way_per_step, OPENING, self.crossing_worth, odd
-            )
+                len(odd), self.stations, turn_per_step, odd, way_per_step=self.top_speed_m_s * self.step_s,
+                opening_angle=math.radians(OPENING_DEG), crossing_worth=self.crossing_worth,
+            )  # fmt: skip
         return Continuous(len(odd), odd) if self.actions == "continuous" else Discrete(len(odd), odd=odd)
 
     def make_observation(self) -> ManeuverObservation:

@@ -20,9 +20,9 @@ from passive_env.blockage import Stretches, blocked
 from passive_env.catalogue.angle_fusion import place_flight_in_space
 from passive_env.catalogue.bearings import place_flight
 from passive_env.catalogue.tracking import TrackingScenario
-from passive_env.kinematics import MANEUVER_UNIFORMS, plan_view, random_maneuvers, turn, turn_and_climb
+from passive_env.kinematics import MANEUVER_UNIFORMS, in_dimensions, plan_view, random_maneuvers, turn, turn_and_climb
 from passive_env.layers import Instant
-from passive_env.radar_courses import corridor, disturbed, part_of
+from passive_env.radar_courses import corridor, disturbed
 from passive_env.radar_metrics import RadarFigures
 from passive_env.radar_observation import FORESEEN_SCANS, RadarObservation
 from passive_env.radar_promise import Foresight, Promise
@@ -348,7 +348,7 @@ class PassiveRadar(TrackingScenario):
         )  # fmt: skip
         guess = path[:, 0] + self.guess_std * z[:, : 2 * d]
         if self.course == "paper":
-            guess[:] = part_of(PAPER_GUESS, d)
+            guess[:] = in_dimensions(np.asarray(PAPER_GUESS), d)
         platforms = self._draw_receiver(first_u[:, 6])
         length = self.step_s * instants
         z, u = draw(generators, instants * n, n * (3 + self.stretches.uniforms(length)) + instants * n)
@@ -398,7 +398,7 @@ class PassiveRadar(TrackingScenario):
             start[:] = PAPER_TARGET
         level, acceleration = self._fly(plan_view(start), legs, instants)
         noise_std = np.sqrt(self.process_noise[:d])
-        return disturbed(level, part_of(start, d), z, noise_std, self.step_s), acceleration
+        return disturbed(level, in_dimensions(start, d), z, noise_std, self.step_s), acceleration
 
     def _fly(self, start: np.ndarray, legs: np.ndarray, instants: int) -> tuple[np.ndarray, np.ndarray]:
         """Level paths [e, t, 4] and accelerations [e, t, 2] of undisturbed targets from starts [e, 4]."""
