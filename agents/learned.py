@@ -17,7 +17,6 @@ from agents.algorithms import find_algorithm
 from agents.networks import rebuild
 from agents.onnx_file import is_onnx, read_onnx
 from agents.packed import is_packed, read_packed
-from passive_env.actions import GUIDED
 from passive_env.belief import Belief
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
@@ -217,9 +216,8 @@ def load_model(file: Path, algo: str, **options: Any) -> BaseAlgorithm:
 def observation_digest(simulation: Simulation) -> str:
     """Fingerprint of the observation's fields and of the actions: a model fits only where they are the same."""
     names = "|".join(f"{f.name},{f.unit},{f.scale}" for f in simulation.observation.fields)
-    kind = simulation.scenario.actions
-    meaning = f"|{kind}" if kind in GUIDED else ""  # the space is that of plain commands
-    return hashlib.sha256(f"{names}|{simulation.actions.space}{meaning}".encode()).hexdigest()[:16]
+    told = (names, str(simulation.actions.space), simulation.actions.meaning)
+    return hashlib.sha256("|".join(filter(None, told)).encode()).hexdigest()[:16]
 
 
 def trained_interface(config: dict[str, Any]) -> dict[str, Any]:

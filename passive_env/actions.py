@@ -44,6 +44,9 @@ class Continuous:
         odd: [size] whether a number changes its sign when left and right are exchanged; None: all do.
     """
 
+    meaning = ""
+    """What the numbers stand for where `space` does not tell: a model fits only where they mean what it learned."""
+
     def __init__(self, size: int, odd: Sequence[bool] | None = None):
         self.size = size
         self._odd = np.array([True] * size if odd is None else odd)
@@ -84,6 +87,8 @@ class Headings(Continuous):
         platforms: how many turn.
         turn_per_step: largest turn in a step [rad].
     """
+
+    meaning = "headings"
 
     def __init__(self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None):
         super().__init__(size, odd)
@@ -143,6 +148,8 @@ class HeadingsAndSpeeds(Headings):
         opening_angle, crossing_worth: angle [rad] and worth of `shorter_sides`; more than two platforms never cross.
     """
 
+    meaning = "headings from the sides on which the baseline is sooner opened, and speeds"
+
     def __init__(
         self, size: int, platforms: int, turn_per_step: float, odd: Sequence[bool] | None = None, *,
         way_per_step: float, opening_angle: float, crossing_worth: float,
@@ -173,6 +180,8 @@ class Discrete:
         size, odd: as of `Continuous`.
         levels: choices per rate.
     """
+
+    meaning = ""
 
     def __init__(self, size: int, levels: int = 3, odd: Sequence[bool] | None = None):
         self.size = size
@@ -213,6 +222,8 @@ class Combinations:
         combinations: [c, k] what each holds, numbers below n.
         n: how many there are to choose from.
     """
+
+    meaning = ""
 
     _before: tuple[int, ...] = ()
     """Choices of the number that comes first, if there is one."""

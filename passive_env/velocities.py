@@ -25,6 +25,8 @@ class Velocities(Continuous):
         step_s: between decisions.
     """
 
+    meaning = "velocities"
+
     def __init__(self, sensors: int, speed_m_s: float, climb_m_s: float, step_s: float):
         super().__init__(3 * sensors, (False, True, False) * sensors)
         self._reach = np.maximum([speed_m_s * step_s, speed_m_s * step_s, climb_m_s * step_s], 1e-9)

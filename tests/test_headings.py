@@ -321,6 +321,14 @@ def test_the_fingerprint_tells_headings_from_rates():
     assert len(set(digests.values())) == 3
 
 
+def test_the_fingerprint_tells_what_headings_mean(monkeypatch):
+    """Headings that are counted otherwise have the same space: the codec says what they stand for."""
+    simulation = make_scenario("ManeuveringTarget", {}).make_simulation()
+    now = observation_digest(simulation)
+    monkeypatch.setattr(type(simulation.actions), "meaning", "headings")
+    assert observation_digest(simulation) != now
+
+
 def untrained(run):
     """A run's model before training, and its mean actions in six episodes' first belief."""
     env = Sb3VecEnv(
