@@ -1,4 +1,4 @@
-"""A quicker tanh for training on the CPU: PyTorch's costs as much as the matrix product before it, NumPy's a tenth."""
+"""A quicker tanh for training on the CPU: PyTorch's costs as much as the matrix product before it, this one a fifth."""
 
 from __future__ import annotations
 
@@ -8,13 +8,43 @@ import numpy as np
 import torch
 from torch import nn
 
+from trackers.compiled import kernel
 
-class _NumpyTanh(torch.autograd.Function):
-    """tanh by NumPy, its gradient g (1 − y²) by PyTorch."""
+_ONE_FROM = np.float32(7.9053111)
+"""Beyond this the fraction below would leave [−1, 1]; on it, it is 1 to rounding."""
+
+_ODD = tuple(
+    np.float32([4.8935246e-3, 6.3726193e-4, 1.4857224e-5, 5.1222971e-8, -8.6046715e-11, 2.0001879e-13, -2.7607685e-16])
+)
+_EVEN = tuple(np.float32([4.8935252e-3, 2.2684346e-3, 1.1853471e-4, 1.1982584e-6]))
+"""Coefficients of x, x³, … and of 1, x², …: the minimax fraction of the library Eigen for single precision."""
+
+
+@kernel("(n)->(n)", "GG")
+def single_tanh(x, y):
+    """tanh of single-precision numbers [n], relatively to 5e-7; NaN of NaN. Without branches, so eight at once."""
+    for i in range(x.shape[0]):
+        v = x[i]
+        v = _ONE_FROM if v > _ONE_FROM else v
+        v = -_ONE_FROM if v < -_ONE_FROM else v
+        s = v * v
+        odd = _ODD[6] * s + _ODD[5]
+        odd = odd * s + _ODD[4]
+        odd = odd * s + _ODD[3]
+        odd = odd * s + _ODD[2]
+        odd = odd * s + _ODD[1]
+        odd = odd * s + _ODD[0]
+        even = ((_EVEN[3] * s + _EVEN[2]) * s + _EVEN[1]) * s + _EVEN[0]
+        y[i] = v * odd / even
+
+
+class _QuickTanh(torch.autograd.Function):
+    """tanh by NumPy, while learning in single precision by `single_tanh`; its gradient g (1 − y²) by PyTorch."""
 
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:
-        y = torch.from_numpy(np.tanh(x.detach().numpy()))
+        learns = x.dtype == torch.float32 and ctx.needs_input_grad[0]
+        y = torch.from_numpy((single_tanh if learns else np.tanh)(x.detach().numpy()))
         ctx.save_for_backward(y)
         return y
 
@@ -29,7 +59,7 @@ class QuickTanh(nn.Tanh):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Tanh of every element."""
-        return _NumpyTanh.apply(x) if x.device.type == "cpu" else super().forward(x)  # type: ignore[return-value]
+        return _QuickTanh.apply(x) if x.device.type == "cpu" else super().forward(x)  # type: ignore[return-value]
 
 
 def quicken(network: nn.Module) -> None:
