@@ -52,7 +52,7 @@ class Algorithm(NamedTuple):
 
     def refusal_by_rllib(self) -> str | None:
         """Why RLlib cannot train it; None if it can."""
-        return None if self.learner is PPO else "is none that --engine rllib trains: take ppo or ppo_scratch"
+        return None if self.learner is PPO else "is none that --engine rllib trains: take ppo, ppo_long or ppo_scratch"
 
     def _network_refusal(self, preset: dict[str, Any]) -> str | None:
         if preset["network"] != NETWORK:
@@ -64,11 +64,12 @@ class Algorithm(NamedTuple):
 
 ALGORITHMS: dict[str, Algorithm] = {
     "ppo": Algorithm(PPO),
+    "ppo_long": Algorithm(PPO),
     "ppo_scratch": Algorithm(PPO),
     "recurrent_ppo": Algorithm(RecurrentPPO, "MlpLstmPolicy"),
     "sac": Algorithm(SAC, on_policy=False),
 }
-"""Algorithms by the name `--algo` takes; each has a section of that name in a scenario's preset."""
+"""Algorithms by the name `--algo` takes; each has its settings in a scenario's preset (`agents.presets`)."""
 
 
 def find_algorithm(name: str) -> Algorithm:

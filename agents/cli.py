@@ -27,8 +27,8 @@ class Train:
     env: str = "passive/TwoStation-v0"
     """Environment id (see `passive-env list`)."""
     algo: str = "ppo"
-    """Learning algorithm: ppo (begins as a rule or a teacher's imitation, as its preset says), ppo_scratch (begins with
-    nothing), recurrent_ppo (LSTM) or sac."""
+    """Learning algorithm: ppo (begins as a rule or a teacher's imitation, as its preset says), ppo_long (the same with
+    more time, where its preset says so), ppo_scratch (begins with nothing), recurrent_ppo (LSTM) or sac."""
     timesteps: int | None = None
     """Environment steps to train for; default from the preset."""
     seed: int = 0

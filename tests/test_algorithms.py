@@ -179,7 +179,7 @@ def test_sac_refuses_a_teacher(tmp_path):
 
 
 def test_unknown_algorithms_are_refused_with_the_known_ones(tmp_path):
-    with pytest.raises(ValueError, match="'dreams': known are ppo, ppo_scratch, recurrent_ppo, sac"):
+    with pytest.raises(ValueError, match="'dreams': known are ppo, ppo_long, ppo_scratch, recurrent_ppo, sac"):
         dataclasses.replace(tiny_run(tmp_path / "run", "ppo"), algo="dreams")
 
 

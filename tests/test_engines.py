@@ -97,7 +97,7 @@ def test_without_ray_the_message_names_the_command_that_installs_it(arguments, t
         (["train", "--engine", "rllib", "--runners", "0"], "--runners 0: must be at least 1"),
         (["train", "--engine", "rllib", "--envs", "9"], "--envs 9: must be a multiple of --runners 2"),
         (["train", "--engine", "rllib", "--algo", "sac"], "--algo sac is none that --engine rllib trains"),
-        (["train", "--engine", "rllib", "--algo", "recurrent_ppo"], "take ppo or ppo_scratch"),
+        (["train", "--engine", "rllib", "--algo", "recurrent_ppo"], "take ppo, ppo_long or ppo_scratch"),
         (["train", "--engine", "rllib", "--device", "auto"], "--device auto: --engine rllib learns on the cpu"),
     ],
 )

@@ -351,6 +351,14 @@ def test_the_plan_takes_what_is_not_given_from_the_preset(tmp_path):
         load_preset("TwoStation", "dreams")
 
 
+def test_a_longer_training_says_only_what_it_does_otherwise():
+    short, long = load_preset("TwoStation", "ppo"), load_preset("TwoStation", "ppo_long")
+    assert long["imitation"] == {**short["imitation"], "episodes": 16_384}
+    assert long["flights_share"] == 0.25
+    assert long["arguments"] == short["arguments"]
+    assert load_preset("Ownship", "ppo_long") == load_preset("Ownship", "ppo")
+
+
 def test_a_scenario_of_a_family_overrides_its_preset():
     family, own = load_preset("Ownship", "ppo"), load_preset("OwnshipManeuvering", "ppo")
     assert family["imitation"]["teacher"] == "planner"

@@ -1,6 +1,7 @@
 """Training presets: a TOML file per family of scenarios, with a section per algorithm.
 
-A file of a scenario's own name says only in what that scenario differs from its family.
+A file of a scenario's own name says only in what that scenario differs from its family, and the section of a longer
+training only in what it differs from the shorter one; without such a section the two are the same.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ from importlib import resources
 from typing import Any
 
 from passive_env.catalogue import make_scenario
+
+LONGER = {"ppo_long": "ppo"}
+"""The trainings that take their time, and the shorter ones that they otherwise repeat."""
 
 
 def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
@@ -23,6 +27,8 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
     presets = _read(family)
     if scenario_name != family:
         presets = _overridden(presets, _read(scenario_name))
+    if algo in LONGER:
+        return _overridden(presets[LONGER[algo]], presets.get(algo, {}))
     if algo not in presets:
         raise ValueError(
             f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"
