@@ -14,9 +14,12 @@ _ONE_FROM = np.float32(7.9053111)
 """Beyond this the fraction below would leave [−1, 1]; on it, it is 1 to rounding."""
 
 _ODD = tuple(
-    np.float32([4.8935246e-3, 6.3726193e-4, 1.4857224e-5, 5.1222971e-8, -8.6046715e-11, 2.0001879e-13, -2.7607685e-16])
+    np.array(
+        [4.8935246e-3, 6.3726193e-4, 1.4857224e-5, 5.1222971e-8, -8.6046715e-11, 2.0001879e-13, -2.7607685e-16],
+        dtype=np.float32,
+    )
 )
-_EVEN = tuple(np.float32([4.8935252e-3, 2.2684346e-3, 1.1853471e-4, 1.1982584e-6]))
+_EVEN = tuple(np.array([4.8935252e-3, 2.2684346e-3, 1.1853471e-4, 1.1982584e-6], dtype=np.float32))
 """Coefficients of x, x³, … and of 1, x², …: the minimax fraction of the library Eigen for single precision."""
 
 
