@@ -664,6 +664,7 @@ def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeyp
 
 def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
     data = run[1]
+    monkeypatch.setattr("agents.leaderboard.report.TRIED", {})
     assert "What was tried" not in as_markdown(data)
     name = next(env for env, found in data["sections"]["leaderboard"].items() if any(e["verdicts"] for e in found))
     monkeypatch.setattr("agents.leaderboard.report.TRIED", {name: "wider rollouts."})
