@@ -1,4 +1,7 @@
-"""A quicker tanh for training on the CPU: PyTorch's costs as much as the matrix product before it, this one a fifth."""
+"""A quicker tanh for training on the CPU: PyTorch's costs as much as the matrix product before it, this one a fifth.
+
+NumPy's is as quick where processors have AVX-512, and as slow as PyTorch's where they have not.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,8 @@ _ODD = tuple(
     )
 )
 _EVEN = tuple(np.array([4.8935252e-3, 2.2684346e-3, 1.1853471e-4, 1.1982584e-6], dtype=np.float32))
-"""Coefficients of x, x³, … and of 1, x², …: the minimax fraction of the library Eigen for single precision."""
+"""Coefficients of x, x³, … and of 1, x², …: the minimax fraction for single precision of the C++ library Eigen
+(``generic_fast_tanh_float``, MPL 2.0)."""
 
 
 @kernel("(n)->(n)", "GG")

@@ -17,6 +17,8 @@ from passive_env.truth import TruthObservation
 from passive_env.vector_env import PassiveVectorEnv
 
 BATCH = 2048
+BLOCK = 16_384
+"""Episodes that the teacher flies at once: what is kept of them is small, what flies them is not."""
 
 
 def imitate(
@@ -44,7 +46,7 @@ def imitate(
         model: an on-policy model (its policy has `get_distribution`); only its policy is changed.
         scenario: what to fly.
         teacher: policy name.
-        episodes: flown at once; epochs: passes over all their steps.
+        episodes: flown, `BLOCK` at once; epochs: passes over all their steps.
         learning_rate: of Adam.
         noise: standard deviation of the disturbance of commands in [−1, 1].
         seed: of episodes, disturbance and order.
@@ -57,9 +59,14 @@ def imitate(
         team: the agents that share the actor: each learns its part of the teacher's actions from what it sees.
     """
     policy: Any = model.policy
-    flights = _demonstrations(
-        scenario, teacher, episodes, noise, seed, getattr(model, "gamma", 1.0), mirror, truth, team
-    )
+    blocks = [
+        _demonstrations(
+            scenario, teacher, min(BLOCK, episodes - at), noise, seed + at, getattr(model, "gamma", 1.0), mirror, truth,
+            team,
+        )
+        for at in range(0, episodes, BLOCK)
+    ]  # fmt: skip
+    flights = [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
     length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
     x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
     optimizer = torch.optim.Adam(policy.parameters(), learning_rate)

@@ -27,14 +27,30 @@ def _version(name: str) -> str:
         return "not installed"
 
 
+CHANGED = "-dirty"
+"""Mark of a commit whose sources have been changed since, as of ``git describe --dirty``."""
+
+
 def commit() -> str | None:
-    """Commit of the source tree this runs from, if it is one and git is there."""
+    """Commit of the source tree this runs from, if it is one and git is there; `CHANGED` where code or presets are."""
+    found = _git("rev-parse", "HEAD")
+    if found is None or not (name := found.stdout.strip()):
+        return None
+    changed = _git("diff", "--quiet", "HEAD", "--", ":(top)*.py", ":(top)*.toml")
+    return name + CHANGED if changed is not None and changed.returncode == 1 else name
+
+
+def short_commit(name: str) -> str:
+    """A commit's first digits, with its mark."""
+    return name[:12] + (CHANGED if name.endswith(CHANGED) else "")
+
+
+def _git(*words: str) -> subprocess.CompletedProcess[str] | None:
     git = shutil.which("git")
     if git is None:
         return None
-    here = Path(__file__).resolve().parent
-    done = subprocess.run([git, "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
-    return done.stdout.strip() or None
+    here = str(Path(__file__).resolve().parent)
+    return subprocess.run([git, "-C", here, *words], capture_output=True, text=True, check=False)
 
 
 def processor_name() -> str:

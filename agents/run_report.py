@@ -25,7 +25,7 @@ from agents.maneuvers import maneuvers
 from agents.outcomes import Record, steps_axis
 from agents.page import fragment, shell
 from agents.placement_pictures import placement_cards
-from agents.provenance import commit, processor_name, versions
+from agents.provenance import commit, processor_name, short_commit, versions
 from agents.report import (
     as_markdown,
     courses,
@@ -397,7 +397,7 @@ def _value(value: Any) -> str:
 
 def _repeating(asked: Settings) -> str:
     """Command, versions, machine, date."""
-    rows = [["date", f"{datetime.now(UTC):%Y-%m-%d}"], ["commit", (commit() or NOTHING)[:12]]]
+    rows = [["date", f"{datetime.now(UTC):%Y-%m-%d}"], ["commit", short_commit(commit() or NOTHING)]]
     rows += [["processor", f"{processor_name()}, {available_cores()} cores"], *map(list, versions().items())]
     return (
         f"<pre><code>{_unbroken_flags(asked.command)}</code></pre><p>DIR is a new folder. With the same versions the "

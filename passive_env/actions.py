@@ -277,6 +277,8 @@ class LeadsAndCombinations(Combinations):
         turn_per_step: largest turn in a step [rad].
     """
 
+    meaning = f"courses of {LEADS_DEG} degrees off lead pursuit"
+
     _before = (len(LEADS_DEG),)
 
     def __init__(self, combinations: np.ndarray, n: int, turn_per_step: float):

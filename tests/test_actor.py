@@ -14,7 +14,7 @@ from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
 from passive_env import PassiveVectorEnv
 
-PLAIN = ("ppo", "ppo_scratch", "sac")
+PLAIN = ("ppo", "ppo_long", "ppo_scratch", "sac")
 
 
 def model_of(algo: str, scenario: str = "Ownship", **fields):

@@ -323,9 +323,10 @@ def test_the_fingerprint_tells_headings_from_rates():
 
 def test_the_fingerprint_tells_what_headings_mean(monkeypatch):
     """Headings that are counted otherwise have the same space: the codec says what they stand for."""
-    simulation = make_scenario("ManeuveringTarget", {}).make_simulation()
+    simulation = make_scenario("ManeuveringTarget", {"actions": "headings"}).make_simulation()
+    assert type(simulation.actions) is HeadingsAndSpeeds
     now = observation_digest(simulation)
-    monkeypatch.setattr(type(simulation.actions), "meaning", "headings")
+    monkeypatch.setattr(HeadingsAndSpeeds, "meaning", Headings.meaning)
     assert observation_digest(simulation) != now
 
 

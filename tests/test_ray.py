@@ -338,6 +338,7 @@ def test_a_runner_flies_as_many_whole_episodes_as_it_is_asked_for(tmp_path):
     [
         ("TwoStation", "ppo", {"steps": STEPS}),
         ("TwoStation", "ppo", {"steps": STEPS, "actions": "discrete"}),
+        ("TwoStation", "ppo_long", {"steps": STEPS}),
         ("Ownship", "ppo", {}),
         ("PassiveRadar", "ppo", {}),
         ("RadarPlacement", "ppo_scratch", {}),

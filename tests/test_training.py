@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from agents import training
 from agents.cli import main
+from agents.evaluation import fly
 from agents.learned import LearnedPolicy, load_model, read_config
 from agents.policy import Policy
 from agents.presets import load_preset
@@ -97,7 +98,7 @@ def test_a_run_leaves_model_configuration_checkpoint_and_tensorboard_logs(finish
     assert config["preset"] == finished.preset
     assert config["scenario"]["targets"] == 3
     assert {"python", "numpy", "torch", "gymnasium", "stable-baselines3", "passive-env"} <= set(config["versions"])
-    assert config["commit"] is None or len(config["commit"]) == 40
+    assert config["commit"] is None or len(config["commit"].removesuffix("-dirty")) == 40
     model = load_model(finished.folder / "model.zip", "ppo")
     assert model.num_timesteps == 4 * ROLLOUT
     checkpoint = load_model(finished.folder / CHECKPOINT, "ppo")
@@ -357,6 +358,17 @@ def test_a_longer_training_says_only_what_it_does_otherwise():
     assert long["flights_share"] == 0.25
     assert long["arguments"] == short["arguments"]
     assert load_preset("Ownship", "ppo_long") == load_preset("Ownship", "ppo")
+
+
+def test_the_longer_training_trains_and_flies(tmp_path):
+    preset = copy.deepcopy(load_preset("TwoStation", "ppo_long")) | {"net_arch": [16, 16]}
+    preset["arguments"] |= {"n_epochs": 1, "batch_size": 90}
+    preset["imitation"] |= {"episodes": 8, "epochs": 1}
+    run = tiny_run(tmp_path / "run", rollouts=1, algo="ppo_long", preset=preset)
+    train(run, progress=False)
+    simulation = run.scenario.make_simulation()
+    record = fly(run.scenario, LearnedPolicy(run.folder, ID, simulation), 4, 0)
+    assert np.isfinite(record.final).all()
 
 
 def test_a_scenario_of_a_family_overrides_its_preset():

@@ -13,6 +13,7 @@ from agents.leaderboard.pictures import overview
 from agents.leaderboard.standings import BASES
 from agents.leaderboard.tried import TRIED
 from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
+from agents.provenance import short_commit
 from agents.report import flatten, percent, table
 
 PICTURE = "leaderboard.png"
@@ -93,7 +94,7 @@ def as_markdown(data: Mapping[str, Any]) -> str:
 def _head(data: Mapping[str, Any]) -> str:
     about = data["about"]
     software = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
-    source = f"commit {about['commit'][:12]}, " if about["commit"] else ""
+    source = f"commit {short_commit(about['commit'])}, " if about["commit"] else ""
     fields = "".join(f", {name}={value}" for name, value in about["fields"].items())
     return (
         f"{about['episodes']:,} paired episodes per table from seed {about['seed']:,}{fields}: in every table all "

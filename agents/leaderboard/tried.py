@@ -8,8 +8,8 @@ TRIED: dict[str, str] = {
         "seeds: the short preset 1.030 and 1.036; with a critic that sees the truth and a quarter of the targets on "
         "recorded courses 1.020 and 1.026; with twice the steps, a wider network, recorded courses and twice the "
         "planner's flights to imitate 1.025 and 1.025, with four times as many 1.014 and 1.017, with eight times as "
-        "many and a critic that sees the truth 1.008 and 1.009 (packed). What is left is how closely the search is "
-        "imitated; on flights the oracle is behind greedy as well."
+        "many and a critic that sees the truth 1.008 and 1.009 (packed). What is left seems to be how closely the "
+        "search is imitated; on flights the oracle is behind greedy as well."
     ),
     "passive/OwnshipManeuvering-v0": (
         "the planner and a zigzag as teachers; drawn courses only (final error on recorded flights 1.16 of the "

@@ -27,8 +27,9 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
     presets = _read(family)
     if scenario_name != family:
         presets = _overridden(presets, _read(scenario_name))
-    if algo in LONGER:
-        return _overridden(presets[LONGER[algo]], presets.get(algo, {}))
+    for longer, shorter in LONGER.items():
+        if shorter in presets:
+            presets = {**presets, longer: _overridden(presets[shorter], presets.get(longer, {}))}
     if algo not in presets:
         raise ValueError(
             f"no preset for algorithm {algo!r} in {scenario_name}: known are {', '.join(presets) or 'none'}"
