@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from agents import imitation
 from agents.imitation import _demonstrations, _read, imitate
 from agents.learned import ModelPolicy
 from agents.sb3 import Sb3VecEnv
@@ -105,6 +106,25 @@ def test_imitation_brings_the_actor_close_to_its_teacher(algo, mirror):
     first = imitate(model, scenario, epochs=1, **settings)
     last = imitate(model, scenario, epochs=60, **settings)
     assert last < 0.7 * first
+
+
+@pytest.mark.parametrize("algo", ["ppo", "recurrent_ppo"])
+def test_a_teacher_flies_its_episodes_in_blocks_of_consecutive_seeds(algo, monkeypatch):
+    blocks, rows = [], []
+
+    def recorded(scenario, teacher, episodes, noise, seed, *more):
+        blocks.append((episodes, seed))
+        found = _demonstrations(scenario, teacher, episodes, noise, seed, *more)
+        rows.append(found[0])
+        return found
+
+    monkeypatch.setattr(imitation, "BLOCK", 3)
+    monkeypatch.setattr(imitation, "_demonstrations", recorded)
+    model, scenario = untaught(algo)
+    loss = imitate(model, scenario, "rule", 7, epochs=1, learning_rate=1e-3, noise=0.3, seed=40)
+    assert blocks == [(3, 40), (3, 43), (1, 46)]
+    assert [part.shape[:2] for part in rows] == [(8, 3), (8, 3), (8, 1)]
+    assert np.isfinite(loss)
 
 
 def test_a_recurrent_actor_reads_flights_as_it_flies_them():
