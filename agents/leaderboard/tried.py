@@ -7,9 +7,9 @@ TRIED: dict[str, str] = {
         "ratios of the time average to greedy's on drawn courses and on flights, one run each, 1,000 episodes of other "
         "seeds: the short preset 1.030 and 1.036; with a critic that sees the truth and a quarter of the targets on "
         "recorded courses 1.020 and 1.026; with twice the steps, a wider network, recorded courses and twice the "
-        "planner's flights to imitate 1.025 and 1.025, with four times as many 1.014 and 1.017, with eight times as "
-        "many and a critic that sees the truth 1.008 and 1.009 (packed). What is left seems to be how closely the "
-        "search is imitated; on flights the oracle is behind greedy as well."
+        "planner's flights to imitate 1.025 and 1.025 (these two at twice the learning rate), with four times as many "
+        "1.014 and 1.017, with eight times as many and a critic that sees the truth 1.008 and 1.009 (packed). What is "
+        "left seems to be how closely the search is imitated; on flights the oracle is behind greedy as well."
     ),
     "passive/OwnshipManeuvering-v0": (
         "the planner and a zigzag as teachers; drawn courses only (final error on recorded flights 1.16 of the "
@@ -36,9 +36,9 @@ TRIED: dict[str, str] = {
         "on flights at 1.005 instead of 1.006. The oracle is 2 % ahead."
     ),
     "passive/RadarPlacement-v0": (
-        "the rule's layouts imitated on 32,768 tasks: 1.02 of its errors; on eight times as many 0.996 at the end and "
-        "1.002 on the time average (packed), on 4,000 episodes of other seeds. The search by theory is 0.3 % ahead of "
-        "the rule: there is little more to have."
+        "the rule's layouts imitated on 32,768 tasks: 1.02 of its errors; on eight times as many (packed) 0.996 at the "
+        "end and 1.002 on the time average, on the 4,000 episodes of other seeds by which it was chosen. The search by "
+        "theory is 0.3 % ahead of the rule: there is little more to have."
     ),
     "passive/MobilePlacement-v0": (
         "half of the targets on recorded courses: time average there 1.00 of greedy's instead of 1.10, but on "
