@@ -313,8 +313,7 @@ class Prediction:
         blocks = Blocks(len(controls))
 
         def run(rows: slice) -> np.ndarray:
-            with np.errstate(all="ignore"):  # a diverged track costs `WORST`
-                return self._costs(start.rows(rows), controls[rows], ends[rows])
+            return self._costs(start.rows(rows), controls[rows], ends[rows])
 
         return np.concatenate(blocks.map(run, blocks.slices))
 

@@ -128,8 +128,7 @@ class Planner(Selection):
 
         def weigh(rows: slice) -> np.ndarray:
             own = (part[rows] for part in columns)
-            with np.errstate(invalid="ignore"):  # of a diverged track the largest error is expected
-                return _imagine(*own, self._uniforms, self._candidates, self._limits, self._noise)
+            return _imagine(*own, self._uniforms, self._candidates, self._limits, self._noise)
 
         blocks = Blocks(len(belief.mean), block=BLOCK)
         return np.concatenate(blocks.map(weigh, blocks.slices))

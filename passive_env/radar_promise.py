@@ -261,8 +261,7 @@ class SumPrediction:
         columns = (belief.cov[:, 0], path, receiver, belief.transmitters, wait, outlook.blocked, *shares)
 
         def weigh(rows: slice) -> np.ndarray:
-            with np.errstate(invalid="ignore"):  # of a diverged track the largest error is promised
-                return _promises(*(part[rows] for part in columns), self._combinations, self._limits, self._noise)
+            return _promises(*(part[rows] for part in columns), self._combinations, self._limits, self._noise)
 
         blocks = Blocks(len(belief.mean), block=BLOCK)
         return np.concatenate(blocks.map(weigh, blocks.slices))

@@ -445,6 +445,16 @@ def test_kernel_refuses_a_layout_that_does_not_fit_its_dtypes():
         Kernel(double, "()->()", "fff")(1.0)
 
 
+def test_kernel_raises_no_floating_point_warning():
+    """The flags that compiled code leaves tell nothing of its numbers; whoever lets NumPy raise must still be able to
+    call it.
+    """
+    with np.errstate(all="raise"):
+        np.testing.assert_array_equal(Kernel(double, "()->()")(np.array([1.0, 1e308, np.inf])), [2.0, np.inf, np.inf])
+        with pytest.raises(FloatingPointError):
+            np.multiply(1e308, [10.0])
+
+
 def test_kernel_of_dense_arrays_takes_strided_and_other_numbers():
     """Its compiled code ignores strides: what does not lie in one piece must be copied first."""
     rng = np.random.default_rng(8)

@@ -4,6 +4,10 @@ A kernel is written as the paper writes it, with loops and branches, for ONE tra
 `kernel` turns it into a NumPy generalised ufunc through `numba.guvectorize`: NumPy broadcasting then supplies the
 leading axes. Compilation happens at the first call and is cached on disk; importing the package compiles nothing.
 
+A kernel sets no floating-point warnings. The compiler fills unused places of its vectors with whatever its registers
+hold, so the processor's flags tell nothing of the numbers: the same input, with the same result to the bit, may
+raise "overflow" once and not again. What is not finite is looked for in the values.
+
 The compiled code releases the interpreter lock, so blocks of a batch run on all cores with plain threads (`Blocks`):
 no second OpenMP runtime next to torch's, no trouble with forked workers.
 """
@@ -73,6 +77,7 @@ class Kernel:
         self._owner: Any = None  # keeps the machine code alive
         self._gufunc: Any = None
 
+    @np.errstate(all="ignore")  # the processor's flags mean nothing here (see above)
     def __call__(self, *arrays: Any, **options: Any) -> Any:
         """Apply to arrays of shape [..., core]; leading axes broadcast.
 
