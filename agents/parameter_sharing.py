@@ -30,6 +30,7 @@ from agents.files import make_folder, write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, read_settings
 from agents.main_job import FINAL_SEED
+from agents.memory import keep_freed_memory
 from agents.policy import Policy, make_policy, policy_names
 from agents.pretrained import PRETRAINED, load_pretrained, pretrained_ids
 from agents.provenance import commit, versions
@@ -100,6 +101,7 @@ def _for_all(actor: Callable[[np.ndarray], np.ndarray], team: Team) -> Callable[
 
 def train(job: Sharing) -> SharedPolicy:
     """Train the shared network; leaves ``model.zip`` and ``config.json`` in the run's folder."""
+    keep_freed_memory()
     torch.set_num_threads(1)
     name = scenario_name(job.env)
     learning = make_scenario(name, parse_fields(job.rewards))

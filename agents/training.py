@@ -28,6 +28,7 @@ from agents.evaluation import fly
 from agents.files import write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
+from agents.memory import keep_freed_memory
 from agents.mixture import JoinedVecEnv, recorded_environments
 from agents.policy import make_policy, policy_names
 from agents.presets import flights_share, load_preset
@@ -173,6 +174,7 @@ def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
         FileNotFoundError, ValueError: nothing to resume, another run's folder, or a damaged checkpoint.
     """
     check_folder(run, resume)
+    keep_freed_memory()
     torch.set_num_threads(run.preset.get("torch_threads", 1))
     clock = Clock(run.folder)
     env = training_env(run)

@@ -1,0 +1,28 @@
+"""Memory while learning: what one minibatch frees, the next one takes again.
+
+Arrays of several megabytes come and go with every minibatch. The C library asks the system for each of them and hands
+it back, and the system clears every page of it: a third of the time of a training on the CPU.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of malloc.h
+_NEVER = 2**31 - 1
+_LARGE = (2**30, 2**25)
+"""Bytes up to which memory is kept, best first: some versions of glibc take no more than the second."""
+
+
+def keep_freed_memory() -> bool:
+    """Let this process keep the memory that it frees; True where the C library can (glibc), else nothing changes.
+
+    The process stays as large as it ever was. What is computed does not change.
+    """
+    try:
+        library: Any = ctypes.CDLL(None)
+        mallopt = library.mallopt
+    except (AttributeError, OSError, TypeError):  # musl and macOS have no mallopt, Windows no library of that name
+        return False
+    return any(mallopt(_MMAP_THRESHOLD, size) for size in _LARGE) and bool(mallopt(_TRIM_THRESHOLD, _NEVER))
