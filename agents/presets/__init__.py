@@ -38,7 +38,10 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
 
 
 def flights_share(preset: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
-    """Share of environments with recorded courses while a run learns; 0 where the user's fields chose the course."""
+    """Share of recorded courses while a run learns, or in what its teacher flies (the preset's section `imitation`).
+
+    0 where the user's fields chose the course.
+    """
     return 0.0 if "course" in fields else preset.get("flights_share", 0.0)
 
 
