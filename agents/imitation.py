@@ -57,16 +57,18 @@ def imitate(
             what the actor has learned.
         mirror: learn from the mirror image of every flight too, with left and right exchanged; a teacher that treats
             the two sides alike would have flown it so.
-        flights_share: of the episodes, with targets on recorded courses of the training part.
+        flights_share: share of the episodes, the last ones, whose targets fly recorded courses of the training part.
         truth: what the critic of an `agents.asymmetric.AsymmetricPolicy` sees beside the belief.
         team: the agents that share the actor: each learns its part of the teacher's actions from what it sees.
+    Raises:
+        ValueError: a teacher that looks at the truth, or a share outside [0, 1].
     """
     policy: Any = model.policy
     blocks = [
         _demonstrations(flown, teacher, count, noise, seed + at, getattr(model, "gamma", 1.0), mirror, truth, team)
         for flown, at, count in _lessons(scenario, episodes, flights_share)
     ]
-    flights = [np.concatenate(part, axis=1) for part in zip(*blocks, strict=True)]
+    flights = [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
     length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
     x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
     optimizer = torch.optim.Adam(policy.parameters(), learning_rate)
@@ -89,6 +91,8 @@ def imitate(
 
 def _lessons(scenario: Any, episodes: int, flights_share: float) -> list[tuple[Any, int, int]]:
     """What the teacher flies, block by block: the scenario, the number of the first episode, how many episodes."""
+    if not 0.0 <= flights_share <= 1.0:
+        raise ValueError(f"flights_share {flights_share}: the teacher's share of recorded courses must lie in [0, 1]")
     drawn = episodes - round(flights_share * episodes)
     kinds = [(scenario, 0, drawn)]
     if drawn < episodes:

@@ -11,6 +11,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from agents.sb3 import Sb3VecEnv
 
+RECORDED: dict[str, Any] = {"course": "flights", "flight_split": "train"}
+"""Fields of a scenario whose targets fly recorded courses, those of the training part."""
+
 
 def recorded_environments(envs: int, share: float) -> int:
     """How many environments' targets fly recorded courses, so that both kinds are there.
@@ -26,8 +29,8 @@ def recorded_environments(envs: int, share: float) -> int:
 
 
 def on_recorded_courses(scenario: Any) -> Any:
-    """The scenario with targets on recorded courses, those of the training part."""
-    return scenario.replace(course="flights", flight_split="train")
+    """The scenario with targets on `RECORDED` courses."""
+    return scenario.replace(**RECORDED)
 
 
 class JoinedVecEnv(VecEnv):

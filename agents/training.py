@@ -163,6 +163,8 @@ def _check_device(device: str) -> None:
 def train(run: Run, resume: bool = False, progress: bool = True) -> Path:
     """Train and leave ``model.zip``, ``config.json``, ``training.json`` and TensorBoard logs in the run's folder.
 
+    The process keeps the memory that it frees from then on (`agents.memory`).
+
     Args:
         run: what to train.
         resume: go on from the folder's checkpoint; the run must be the one that was begun there.

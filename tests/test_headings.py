@@ -234,8 +234,7 @@ def test_off_the_sight_to_a_diverged_track_platforms_go_straight_on(name):
     lost = belief._replace(mean=np.full_like(belief.mean, np.nan))
     values = np.full((1, simulation.actions.size), 0.5)
     assert np.all(simulation.actions.commands(values, belief)[:, :2])
-    with np.errstate(invalid="ignore"):
-        commands = simulation.actions.commands(values, lost)
+    commands = simulation.actions.commands(values, lost)
     assert np.array_equal(commands, np.where(np.arange(values.shape[1]) < 2, 0.0, values))
     assert np.isfinite(simulation.actions.encode(commands, lost)).all()
 

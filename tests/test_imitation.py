@@ -10,6 +10,7 @@ import torch
 from agents import imitation
 from agents.imitation import _demonstrations, _read, imitate
 from agents.learned import ModelPolicy
+from agents.mixture import on_recorded_courses
 from agents.sb3 import Sb3VecEnv
 from agents.training import new_model, plan, training_env
 from passive_env import PassiveVectorEnv
@@ -143,6 +144,20 @@ def test_a_share_of_the_lessons_is_flown_on_recorded_courses(share, drawn, monke
     assert sum(count for course, *_, count, _ in flown if course == "random") == drawn
     assert all(split == "train" for course, split, *_ in flown if course == "flights")
     assert sum(count for *_, count, _ in flown) == 7
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
+def test_impossible_shares_are_refused_before_anything_is_flown(share, monkeypatch):
+    monkeypatch.setattr(imitation, "_demonstrations", None)
+    model, scenario = untaught("ppo")
+    with pytest.raises(ValueError, match=rf"flights_share {share}: .* must lie in \[0, 1\]"):
+        imitate(model, scenario, "rule", 7, epochs=1, learning_rate=1e-3, noise=0.3, seed=40, flights_share=share)
+
+
+def test_recorded_courses_are_those_of_the_training_part():
+    scenario = make_scenario("Ownship", {"course": "flights", "flight_split": "test"})
+    learned = on_recorded_courses(scenario)
+    assert (learned.course, learned.flight_split) == ("flights", "train")
 
 
 @pytest.mark.parametrize(("fields", "share"), [({}, 0.5), ({"course": "flights"}, 0.0)])

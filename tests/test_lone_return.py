@@ -136,8 +136,7 @@ def test_a_bank_that_is_no_number_does_not_count_as_plain():
     mean = state.mean.copy()
     mean[4, 0, 2, 0] = np.nan
     valid = np.ones(10, dtype=bool)
-    with np.errstate(invalid="ignore"):
-        broken = TRACKER.update(state._replace(mean=mean), scan_of(bearing, valid, station))
+    broken = TRACKER.update(state._replace(mean=mean), scan_of(bearing, valid, station))
     sound = TRACKER.update(state, scan_of(bearing, valid, station))
     for got, wanted in zip(broken.posterior, sound.posterior, strict=True):
         np.testing.assert_array_equal(np.delete(got, 4, axis=0), np.delete(wanted, 4, axis=0))

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from agents.memory import keep_freed_memory
+from agents.training import plan, train
 
 FAULTS = """
 import resource, sys
@@ -17,7 +18,7 @@ kept = keep_freed_memory() if sys.argv[1] == "keep" else False
 def minibatches(count):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     for _ in range(count):
-        [np.ones(size) for size in (5_000_000, 1_000_000, 2_000_000)]
+        [np.ones(3_500_000) for _ in range(3)]
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 minibatches(2)
 print(kept, minibatches(10))
@@ -26,7 +27,7 @@ print(kept, minibatches(10))
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc can be told")
 def test_freed_memory_is_taken_again():
-    """Page faults of ten rounds of large arrays, 64 MB each: none where memory is kept."""
+    """Page faults of ten rounds of three arrays of 28 MB: none where memory is kept."""
     faults = {}
     for mode in ("keep", "return"):
         done = subprocess.run([sys.executable, "-c", FAULTS, mode], capture_output=True, text=True, check=True)
@@ -59,4 +60,11 @@ def test_the_threshold_is_the_largest_that_the_c_library_takes(most, wanted, mon
 
     monkeypatch.setattr(ctypes, "CDLL", lambda name: Library)
     assert keep_freed_memory() == wanted
-    assert taken == ({-3: most, -1: 2**31 - 1} if wanted else {})
+    assert taken == ({-3: most, -1: -1} if wanted else {})
+
+
+def test_a_training_keeps_its_memory(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("agents.training.keep_freed_memory", lambda: asked.append("asked"))
+    train(plan("Ownship", tmp_path, "ppo_scratch", timesteps=120, envs=2, fields={"steps": 2}), progress=False)
+    assert asked == ["asked"]

@@ -446,9 +446,7 @@ def test_kernel_refuses_a_layout_that_does_not_fit_its_dtypes():
 
 
 def test_kernel_raises_no_floating_point_warning():
-    """The flags that compiled code leaves tell nothing of its numbers; whoever lets NumPy raise must still be able to
-    call it.
-    """
+    """Compiled code may set flags for numbers that it does not use; who lets NumPy raise must be able to call it."""
     with np.errstate(all="raise"):
         np.testing.assert_array_equal(Kernel(double, "()->()")(np.array([1.0, 1e308, np.inf])), [2.0, np.inf, np.inf])
         with pytest.raises(FloatingPointError):

@@ -18,6 +18,7 @@ from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 from ray.rllib.env.single_agent_episode import SingleAgentEpisode
 from ray.rllib.utils.metrics import EPISODE_LEN_MEAN, EPISODE_RETURN_MEAN, SAMPLE_TIMER
 
+from agents.mixture import RECORDED
 from agents.sb3 import observation_space
 from passive_env.vector_env import PassiveVectorEnv
 
@@ -53,7 +54,7 @@ class PassiveEnvRunner(SingleAgentEnvRunner):
         self.env: Any = PassiveVectorEnv(name, num_envs=width, autoreset_mode="disabled", threads=1, **fields)
         self._kinds = [self.env]
         if self._flights_share > 0.0:
-            recorded = {**fields, "course": "flights", "flight_split": "train"}
+            recorded = fields | RECORDED
             self._kinds.append(PassiveVectorEnv(name, num_envs=width, autoreset_mode="disabled", threads=1, **recorded))
         self._truth = self.env.scenario.make_truth_observation() if with_truth else None
         for env in self._kinds:

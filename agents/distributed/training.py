@@ -29,6 +29,7 @@ from agents.distributed.env_runner import FINAL_ERROR, PassiveEnvRunner
 from agents.distributed.module import module_spec, take_weights
 from agents.files import write_json
 from agents.learned import CONFIG, MODEL, load_model
+from agents.memory import keep_freed_memory
 from agents.presets import flights_share
 from agents.training import (
     FINAL_RATE,
@@ -72,6 +73,7 @@ def train_on_ray(run: Run, address: str | None = None, resume: bool = False, pro
     """
     check_folder(run, resume)
     begun = last_checkpoint(run.folder) if resume else None
+    keep_freed_memory()
     with cluster(address, run.runners):
         torch.set_num_threads(run.preset.get("torch_threads", 1))
         clock = Clock(run.folder)

@@ -37,12 +37,12 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
     return presets[algo]
 
 
-def flights_share(preset: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
-    """Share of recorded courses while a run learns, or in what its teacher flies (the preset's section `imitation`).
+def flights_share(settings: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
+    """Share of recorded courses that a preset, or its section `imitation`, asks for.
 
     0 where the user's fields chose the course.
     """
-    return 0.0 if "course" in fields else preset.get("flights_share", 0.0)
+    return 0.0 if "course" in fields else settings.get("flights_share", 0.0)
 
 
 def _read(name: str) -> dict[str, Any]:
