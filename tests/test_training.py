@@ -360,12 +360,6 @@ def test_a_longer_training_says_only_what_it_does_otherwise():
     assert load_preset("Ownship", "ppo_long") == load_preset("Ownship", "ppo")
 
 
-def test_the_longer_training_of_moving_sensors_flies_recorded_courses_from_its_lessons_on():
-    short, long = load_preset("MobilePlacement", "ppo"), load_preset("MobilePlacement", "ppo_long")
-    assert long["imitation"] == {**short["imitation"], "episodes": 4096, "flights_share": 0.5}
-    assert long == {**short, "timesteps": 2 * short["timesteps"], "flights_share": 0.5, "imitation": long["imitation"]}
-
-
 def test_the_longer_training_trains_and_flies(tmp_path):
     preset = copy.deepcopy(load_preset("TwoStation", "ppo_long")) | {"net_arch": [16, 16]}
     preset["arguments"] |= {"n_epochs": 1, "batch_size": 90}
