@@ -53,7 +53,8 @@ TRIED: dict[str, str] = {
         "drawn courses 1.05 instead of 0.99; a quarter of them: 1.09 and 1.01. Half of them, four times the lessons "
         "of greedy, half on recorded courses too, and twice the steps: 1.04 and 1.16, at the end 1.36 and 1.45; "
         "the return rises all the while, but the error at the end, 0.99 of the rule's after a twentieth of the steps, "
-        "is 1.19 after a tenth and stays there. Each one run, 1,000 episodes of other seeds."
+        "is 1.19 after a tenth and stays there. These lessons alone reach 1.60 and 1.44: what a search among 73 ways "
+        "chooses averages out. Each one run, 1,000 episodes of other seeds."
     ),
 }
 """By environment id."""
