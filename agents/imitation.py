@@ -11,7 +11,6 @@ from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch.nn import functional
 
-from agents.mixture import on_recorded_courses
 from agents.policy import make_policy, sees_world
 from passive_env.team import Team
 from passive_env.truth import TruthObservation
@@ -33,7 +32,6 @@ def imitate(
     seed: int,
     critic: float = 0.0,
     mirror: bool = False,
-    flights_share: float = 0.0,
     truth: TruthObservation | None = None,
     team: Team | None = None,
 ) -> float:
@@ -57,17 +55,17 @@ def imitate(
             what the actor has learned.
         mirror: learn from the mirror image of every flight too, with left and right exchanged; a teacher that treats
             the two sides alike would have flown it so.
-        flights_share: share of the episodes, the last ones, whose targets fly recorded courses of the training part.
         truth: what the critic of an `agents.asymmetric.AsymmetricPolicy` sees beside the belief.
         team: the agents that share the actor: each learns its part of the teacher's actions from what it sees.
-    Raises:
-        ValueError: a teacher that looks at the truth, or a share outside [0, 1].
     """
     policy: Any = model.policy
     blocks = [
-        _demonstrations(flown, teacher, count, noise, seed + at, getattr(model, "gamma", 1.0), mirror, truth, team)
-        for flown, at, count in _lessons(scenario, episodes, flights_share)
-    ]
+        _demonstrations(
+            scenario, teacher, min(BLOCK, episodes - at), noise, seed + at, getattr(model, "gamma", 1.0), mirror, truth,
+            team,
+        )
+        for at in range(0, episodes, BLOCK)
+    ]  # fmt: skip
     flights = [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
     length = scenario.steps if isinstance(policy, RecurrentActorCriticPolicy) else 1
     x, y, earned = (_in_sequences(part, length).to(policy.device) for part in flights)
@@ -87,17 +85,6 @@ def imitate(
             loss.backward()
             optimizer.step()
     return float(loss.detach())
-
-
-def _lessons(scenario: Any, episodes: int, flights_share: float) -> list[tuple[Any, int, int]]:
-    """What the teacher flies, block by block: the scenario, the number of the first episode, how many episodes."""
-    if not 0.0 <= flights_share <= 1.0:
-        raise ValueError(f"flights_share {flights_share}: the teacher's share of recorded courses must lie in [0, 1]")
-    drawn = episodes - round(flights_share * episodes)
-    kinds = [(scenario, 0, drawn)]
-    if drawn < episodes:
-        kinds.append((on_recorded_courses(scenario), drawn, episodes))
-    return [(flown, at, min(BLOCK, end - at)) for flown, begin, end in kinds for at in range(begin, end, BLOCK)]
 
 
 def _in_sequences(part: np.ndarray, length: int) -> torch.Tensor:

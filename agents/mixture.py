@@ -28,11 +28,6 @@ def recorded_environments(envs: int, share: float) -> int:
     return min(max(round(share * envs), 1), envs - 1)
 
 
-def on_recorded_courses(scenario: Any) -> Any:
-    """The scenario with targets on `RECORDED` courses."""
-    return scenario.replace(**RECORDED)
-
-
 class JoinedVecEnv(VecEnv):
     """Vector environments whose spaces agree, as one; sub-environments stand in the order of the parts.
 

@@ -133,9 +133,8 @@ def _limits(description: Mapping[str, Any]) -> list[str]:
     scenario = {name: value for name, value in description["scenario"].items() if not name.startswith("reward_")}
     scenario |= description["interface"]
     course = f"course={scenario['course']!r}" if "course" in scenario else "the registered courses"
-    for settings, where in ((description["preset"], "environments"), (_lessons(description), "teacher's episodes")):
-        if (share := flights_share(settings, description["fields"])) > 0.0:
-            course += f", in {100.0 * share:.0f} % of the {where} on recorded flights of the training part"
+    if (share := flights_share(description["preset"], description["fields"])) > 0.0:
+        course += f", in {100.0 * share:.0f} % of the environments on recorded flights of the training part"
     return [
         f"It is for {description['environment']} alone: loading refuses any scenario whose observation or actions "
         f"differ (digest {description['observation_digest']}, interface {description['interface']}). Trained on "
@@ -145,11 +144,6 @@ def _limits(description: Mapping[str, Any]) -> list[str]:
         "Fields of the scenario it was trained on, rewards left out:",
         ", ".join(f"`{name}={value}`" for name, value in scenario.items()),
     ]
-
-
-def _lessons(description: Mapping[str, Any]) -> Mapping[str, Any]:
-    settings: Mapping[str, Any] = description["preset"].get("imitation", {})
-    return settings
 
 
 def _versions(what: str, source: Mapping[str, Any]) -> str:

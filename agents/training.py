@@ -29,7 +29,7 @@ from agents.files import write_json
 from agents.imitation import imitate
 from agents.learned import CONFIG, MODEL, ModelPolicy, load_model, observation_digest, read_config
 from agents.memory import keep_freed_memory
-from agents.mixture import JoinedVecEnv, on_recorded_courses, recorded_environments
+from agents.mixture import RECORDED, JoinedVecEnv, recorded_environments
 from agents.policy import make_policy, policy_names
 from agents.presets import flights_share, load_preset
 from agents.provenance import commit, versions
@@ -214,7 +214,7 @@ def training_env(run: Run) -> Sb3VecEnv | JoinedVecEnv:
     return JoinedVecEnv(
         [
             _vector_env(scenario, run.envs - recorded, run.asymmetric),
-            _vector_env(on_recorded_courses(scenario), recorded, run.asymmetric),
+            _vector_env(scenario.replace(**RECORDED), recorded, run.asymmetric),
         ]
     )
 
@@ -369,8 +369,7 @@ def new_model(run: Run, env: Sb3VecEnv | JoinedVecEnv) -> BaseAlgorithm:
     if "first_action" in preset and run.training_scenario.actions == run.preset_actions:
         begin_with(model, preset["first_action"])
     if "imitation" in preset:
-        lesson = preset["imitation"] | {"flights_share": flights_share(preset["imitation"], run.fields)}
-        imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **lesson)
+        imitate(model, run.training_scenario, truth=env.truth, seed=training_seed(run.seed), **preset["imitation"])
     return model
 
 

@@ -10,9 +10,8 @@ import torch
 from agents import imitation
 from agents.imitation import _demonstrations, _read, imitate
 from agents.learned import ModelPolicy
-from agents.mixture import on_recorded_courses
 from agents.sb3 import Sb3VecEnv
-from agents.training import new_model, plan, training_env
+from agents.training import new_model, plan
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue import make_scenario
 from passive_env.core import Simulation
@@ -126,48 +125,6 @@ def test_a_teacher_flies_its_episodes_in_blocks_of_consecutive_seeds(algo, monke
     assert blocks == [(3, 40), (3, 43), (1, 46)]
     assert [part.shape[:2] for part in rows] == [(8, 3), (8, 3), (8, 1)]
     assert np.isfinite(loss)
-
-
-@pytest.mark.parametrize(("share", "drawn"), [(0.0, 7), (0.5, 3), (1.0, 0)])
-def test_a_share_of_the_lessons_is_flown_on_recorded_courses(share, drawn, monkeypatch):
-    flown = []
-
-    def recorded(scenario, teacher, episodes, noise, seed, *more):
-        flown.append((scenario.course, scenario.flight_split, episodes, seed))
-        return _demonstrations(scenario, teacher, episodes, noise, seed, *more)
-
-    monkeypatch.setattr(imitation, "BLOCK", 4)
-    monkeypatch.setattr(imitation, "_demonstrations", recorded)
-    model, scenario = untaught("ppo")
-    imitate(model, scenario, "rule", 7, epochs=1, learning_rate=1e-3, noise=0.3, seed=40, flights_share=share)
-    assert [seed - 40 for *_, seed in flown] == list(np.cumsum([0, *(count for *_, count, _ in flown)])[:-1])
-    assert sum(count for course, *_, count, _ in flown if course == "random") == drawn
-    assert all(split == "train" for course, split, *_ in flown if course == "flights")
-    assert sum(count for *_, count, _ in flown) == 7
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
-def test_impossible_shares_are_refused_before_anything_is_flown(share, monkeypatch):
-    monkeypatch.setattr(imitation, "_demonstrations", None)
-    model, scenario = untaught("ppo")
-    with pytest.raises(ValueError, match=rf"flights_share {share}: .* must lie in \[0, 1\]"):
-        imitate(model, scenario, "rule", 7, epochs=1, learning_rate=1e-3, noise=0.3, seed=40, flights_share=share)
-
-
-def test_recorded_courses_are_those_of_the_training_part():
-    scenario = make_scenario("Ownship", {"course": "flights", "flight_split": "test"})
-    learned = on_recorded_courses(scenario)
-    assert (learned.course, learned.flight_split) == ("flights", "train")
-
-
-@pytest.mark.parametrize(("fields", "share"), [({}, 0.5), ({"course": "flights"}, 0.0)])
-def test_lessons_are_on_the_course_that_the_user_chose(fields, share, tmp_path, monkeypatch):
-    given = []
-    monkeypatch.setattr("agents.training.imitate", lambda *_, **settings: given.append(settings["flights_share"]))
-    run = plan("Ownship", tmp_path, envs=2, fields={"steps": 8, **fields})
-    run.preset["imitation"]["flights_share"] = 0.5
-    new_model(run, training_env(run))
-    assert given == [share]
 
 
 def test_a_recurrent_actor_reads_flights_as_it_flies_them():

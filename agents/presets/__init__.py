@@ -37,12 +37,9 @@ def load_preset(scenario_name: str, algo: str) -> dict[str, Any]:
     return presets[algo]
 
 
-def flights_share(settings: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
-    """Share of recorded courses that a preset, or its section `imitation`, asks for.
-
-    0 where the user's fields chose the course.
-    """
-    return 0.0 if "course" in fields else settings.get("flights_share", 0.0)
+def flights_share(preset: Mapping[str, Any], fields: Mapping[str, Any]) -> float:
+    """Share of environments with recorded courses while a run learns; 0 where the user's fields chose the course."""
+    return 0.0 if "course" in fields else preset.get("flights_share", 0.0)
 
 
 def _read(name: str) -> dict[str, Any]:
