@@ -242,6 +242,14 @@ class Benchmark:
 
 
 @dataclass(frozen=True)
+class Compile:
+    """Compile all kernels now, on all cores, instead of each at its first use."""
+
+    processes: int | None = None
+    """How many compile at once; default all cores."""
+
+
+@dataclass(frozen=True)
 class List:
     """List environments, policies and trackers."""
 
@@ -380,6 +388,12 @@ def _benchmark(c: Benchmark) -> None:
     run_benchmark(c.out, c.quick)
 
 
+def _compile(c: Compile) -> None:
+    from agents.compile_ahead import compile_all, words
+
+    print(words(compile_all(c.processes)))
+
+
 def _list(c: List) -> None:
     from agents.algorithms import ALGORITHMS
     from agents.policy import policy_names
@@ -415,6 +429,7 @@ COMMANDS: dict[str, tuple[Any, Any]] = {
     "reproduce": (Reproduce, _reproduce),
     "curves": (Curves, _curves),
     "benchmark": (Benchmark, _benchmark),
+    "compile": (Compile, _compile),
     "list": (List, _list),
 }
 """Arguments and function of every command, by its name."""

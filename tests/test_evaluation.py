@@ -697,6 +697,7 @@ FLAGS = {
     ),
     "reproduce": ("runs", "seeds", "out"),
     "benchmark": ("out", "quick"),
+    "compile": ("processes",),
     "list": (),
 }
 

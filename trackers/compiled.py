@@ -49,6 +49,9 @@ _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_, "g": np.float32}
 helper = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract"})
 """Decorator of small scalar functions that kernels call; LLVM inlines them."""
 
+routine = numba.njit(error_model="numpy", fastmath={"contract"})
+"""Decorator of long functions of rare use: LLVM may call them, for inlined everywhere they take minutes to compile."""
+
 
 FIXED = {"x": 4, "p": 2, "x6": 6, "p3": 3, "a2": 2}
 """Axis names of a fixed length in every layout: the planar state and position, the state and position in space, a
@@ -75,6 +78,7 @@ class Kernel:
         self.dtypes = dtypes
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
+        self.__module__ = function.__module__
         self._function = function
         self._fixed = _fixed_axes(self.layout)
         inputs = dtypes[: self.layout.split("->")[0].count("(")]
@@ -94,8 +98,7 @@ class Kernel:
                 name = self.__name__.lstrip("_")
                 raise ValueError(f"{name}: argument {place} has shape {shape}, axis {axis} must have length {size}")
         if self._gufunc is None:
-            with _COMPILING, _own_cache():
-                self._compile()
+            self.prepare()
         gufunc: Any = self._gufunc
         if self._dense:
             given = list(arrays)
@@ -103,6 +106,12 @@ class Kernel:
                 given[place] = np.ascontiguousarray(given[place], dtype)
             return _SILENT.copy().run(gufunc, *given, **options)
         return _SILENT.copy().run(gufunc, *arrays, **options)
+
+    def prepare(self) -> None:
+        """Compile, or load from the cache, what has not been yet."""
+        if self._gufunc is None:
+            with _COMPILING, _own_cache(f"{self.__module__}.{self.__name__}"):
+                self._compile()
 
     def _compile(self) -> None:
         if self._gufunc is not None:
@@ -152,7 +161,7 @@ _DIGEST = _sources_digest()  # at import, before anyone edits a source that is a
 
 
 @lru_cache(maxsize=1)
-def _cache_folder() -> str:
+def cache_folder() -> str:
     """Folder of machine code made from exactly these sources.
 
     Numba's own cache notices a change of the kernel's file only, not one of a helper inlined from another file, so
@@ -170,17 +179,17 @@ def _cache_folder() -> str:
 
 
 @contextlib.contextmanager
-def _own_cache() -> Iterator[None]:
-    """Point numba's cache at our folder while a kernel is compiled or loaded, one process at a time.
+def _own_cache(kernel: str) -> Iterator[None]:
+    """Point numba's cache at our folder while this kernel is compiled or loaded, by one process at a time.
 
     Numba caches a gufunc's body and its loop in two files that name each other; two processes that compile the same
     kernel at once can leave a body of one beside a loop of the other, and the next process crashes. Hence the lock.
     """
-    folder, before = _cache_folder(), _CONFIG.CACHE_DIR
+    folder, before = cache_folder(), _CONFIG.CACHE_DIR
     Path(folder).mkdir(parents=True, exist_ok=True)
     _CONFIG.CACHE_DIR = folder
     try:
-        with FileLock(f"{folder}/.lock"):
+        with FileLock(f"{folder}/{kernel}.lock"):
             yield
     finally:
         _CONFIG.CACHE_DIR = before

@@ -27,7 +27,7 @@ import math
 import numpy as np
 
 from trackers.axis_motion import add_axis_noise, move_axes
-from trackers.compiled import helper, kernel
+from trackers.compiled import helper, kernel, routine
 from trackers.gaussian import Gaussian
 from trackers.linalg import cholesky_in_place, solve_with_factor
 from trackers.range_sum import range_sum_row, short_of_baseline
@@ -164,7 +164,7 @@ def _place(x, t, d, p):
         p[i] = x[i] + t * (x[d + i] + 0.5 * t * x[2 * d + i])
 
 
-@helper
+@routine
 def _cost(x, prior, scans, cells, scratch, d):
     """Twice the negative log posterior, but for a constant."""
     (mean, W), (sums, used, transmitters, receiver, std, times) = prior, scans
@@ -187,7 +187,7 @@ def _cost(x, prior, scans, cells, scratch, d):
     return total
 
 
-@helper
+@routine
 def _normal_equations(x, prior, scans, cells, N, g, scratch, d):
     """N = JᵀJ + W [3d, 3d] and the downhill gradient g [3d] at x."""
     (mean, W), (sums, used, transmitters, receiver, std, times) = prior, scans
@@ -220,7 +220,7 @@ def _normal_equations(x, prior, scans, cells, N, g, scratch, d):
                                 N[m * d + i, n * d + j] += weight * lever[m] * lever[n] * row[i] * row[j]
 
 
-@helper
+@routine
 def _minimise(x, prior, scans, cells, normal, scratch, settled, d):
     """Levenberg–Marquardt from x [3d], in place; returns the cost and leaves N at the last x."""
     n = 3 * d
@@ -253,7 +253,7 @@ def _minimise(x, prior, scans, cells, normal, scratch, settled, d):
     return cost
 
 
-@helper
+@routine
 def _invert_into(A, n, inverse):
     """inverse [n, n] = A⁻¹ of symmetric positive definite A, which is overwritten by its factor; returns log √det A."""
     cholesky_in_place(A)
@@ -280,7 +280,7 @@ def _begin(attempt, mean, cov, best, floor, d, x):
         x[1] += away * math.sqrt(cov[1, 1]) * math.sin(angle)
 
 
-@helper
+@routine
 def _fit(prior, scans, cells, cov, floor, count, normal, scratch, best, x, d):
     """The least minimum of all attempts, into best [3d]; returns its cost."""
     least = math.inf
@@ -298,7 +298,7 @@ def _fit(prior, scans, cells, cov, floor, count, normal, scratch, best, x, d):
     return least
 
 
-@helper
+@routine
 def _prior(mean, cov, times, w, turning, wide, P, rest, d):
     """Mean wide [3d] and covariance P [3d, 3d] with the mean acceleration; rest [2d, 2d] is what noise adds to both.
 
@@ -327,7 +327,7 @@ def _prior(mean, cov, times, w, turning, wide, P, rest, d):
         rest[d + i, d + i] = 0.0
 
 
-@helper
+@routine
 def _carry(x, P, t, x_out, P_out, d):
     """x [3d] and P [3d, 3d] after t seconds, without the acceleration, into x_out [2d] and, added to it, P_out."""
     for i in range(d):
@@ -343,7 +343,7 @@ def _carry(x, P, t, x_out, P_out, d):
                             P_out[a * d + i, b * d + j] += lever[a][m] * lever[b][q] * P[m * d + i, q * d + j]
 
 
-@helper
+@routine
 def _widest_ways(P, t, ways, slopes, widths, d):
     """Fill slopes [2, 3d], the two directions in which the place after t seconds is known worst, and their σ [2] m.
 
@@ -386,7 +386,7 @@ def _widest_ways(P, t, ways, slopes, widths, d):
                 C[i, j] -= size * e[0, i] * e[0, j]
 
 
-@helper
+@routine
 def _bent(best, P, least, slope, width, prior, scans, none, trial, scratch, d):
     """Whether the posterior is no Gaussian along the way of a slope [3d] and its σ."""
     bent = False
@@ -400,7 +400,7 @@ def _bent(best, P, least, slope, width, prior, scans, none, trial, scratch, d):
     return bent
 
 
-@helper
+@routine
 def _lay_slabs(best, P, least, t, prior, scans, none, trial, scratch, slopes, sigma, widths, reach, d):
     """Lay slabs across the ways in which the posterior after t seconds is wide and bent.
 
@@ -427,7 +427,7 @@ def _place_slab(best, slopes, sigma, reach, across, along, places, n):
     places[1] += along * SPACING * sigma[1] if reach[1] > 0 else 0.0
 
 
-@helper
+@routine
 def _sum_slabs(best, least, prior, scans, cells, sigma, reach, normal, scratch, floor, x, first, second, d):
     """Add up the parts in all slabs, each a Gaussian about its own mode; returns the sum of their weights.
 
@@ -467,7 +467,7 @@ def _sum_slabs(best, least, prior, scans, cells, sigma, reach, normal, scratch, 
     return total
 
 
-@helper
+@routine
 def _average(best, P, t, prior, scans, none, normal, scratch, floor, x, d):
     """Replace the mode best [3d] and its P [3d, 3d] by mean and covariance of a bent posterior, in place.
 

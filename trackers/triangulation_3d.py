@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from trackers.angles import wrap_scalar
-from trackers.compiled import helper, kernel
+from trackers.compiled import helper, kernel, routine
 from trackers.direction import absorb, linearize_direction, moved, sight_line
 from trackers.gaussian import Gaussian
 from trackers.linalg import cholesky_in_place
@@ -56,7 +56,7 @@ class Fix3d(NamedTuple):
     converged: Any
 
 
-@helper
+@routine
 def solve_3(A, b, factor):
     """Overwrite b [3] by A⁻¹b for symmetric A [3, 3]; returns whether A is positive definite beyond rounding.
 
@@ -78,7 +78,7 @@ def solve_3(A, b, factor):
     return True
 
 
-@helper
+@routine
 def _nearest_point(angles, used, platforms, A, position, factor, u):
     """Point with the least squared distance from all lines of sight; returns whether it is unique."""
     A[:] = 0.0
@@ -94,7 +94,7 @@ def _nearest_point(angles, used, platforms, A, position, factor, u):
     return solve_3(A, position, factor)
 
 
-@helper
+@routine
 def _normal_equations(angles, used, platforms, std, position, A, g, H):
     """A [3, 3] = Σ HᵀR⁻¹H and g [3] = Σ HᵀR⁻¹ν at a position."""
     A[:] = 0.0
@@ -111,7 +111,7 @@ def _normal_equations(angles, used, platforms, std, position, A, g, H):
                         A[i, j] += H[c, i] * H[c, j] * weight
 
 
-@helper
+@routine
 def fix_into(angles, used, platforms, std, position, cov):
     """Gauss–Newton fix from directions [s, 2]; returns whether it exists and converged."""
     A, factor, H = np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
@@ -158,7 +158,7 @@ def _across_sight(r, angles, std, P):
             P[i, j] = level * across[i] * across[j] + rise * up[i] * up[j]
 
 
-@helper
+@routine
 def _at_range(r, u, angles, used, first, platforms, std, x, P):
     """Position x [≥3] and P [6, 6] of a target at range r along the first line of sight u, given all directions.
 
@@ -182,7 +182,7 @@ def _at_range(r, u, angles, used, first, platforms, std, x, P):
     return log_likelihood, squared
 
 
-@helper
+@routine
 def _sum_over_ranges(u, angles, used, first, platforms, std, floor, cap, mean, cov):
     """Mean [3] and covariance [3, 3] over all ranges; returns the least squared innovation of any of them."""
     x, P, log_w = np.empty((NODES, 3)), np.empty((NODES, 6, 6)), np.empty(NODES)
@@ -207,7 +207,7 @@ def _sum_over_ranges(u, angles, used, first, platforms, std, floor, cap, mean, c
     return least
 
 
-@helper
+@routine
 def start_into(angles, used, platforms, std, floor, cap, velocity_std, mean, cov):
     """Start of a track from one direction [2] per used sensor; returns whether more than one of them serves it.
 
@@ -240,7 +240,7 @@ def start_into(angles, used, platforms, std, floor, cap, velocity_std, mean, cov
     return fixed
 
 
-@helper
+@routine
 def choose_returns(angles, valid, platforms, std, available, chosen, used):
     """One return per sensor for a fix: of two sensors the most nearly coplanar pair, else each one's first.
 
