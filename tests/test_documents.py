@@ -34,12 +34,12 @@ LANGUAGES = ("python", "sh", "text", "math")
 """Python runs (that of the messages must fail as its text says), sh is the newcomer's path, math is no code."""
 
 OTHER_COMMANDS = (
-    "python -m pip install -e . && python train.py",  # .ci/run: the main job, short
+    "python -m pip install -e . && python train.py",  # .ci/jobs: the main job, short
     'python -m pip install -e ".[test]" && python -m pytest',  # .ci/run, to the letter
     "bash .ci/run",  # by whoever lands a change
     "python -m pytest tests/test_world.py",  # any test run
     "python -m agents.documentation",  # test_documentation.py: it changes nothing
-    "mkdocs build --strict",  # .ci/run
+    "mkdocs build --strict",  # .ci/checks
 )
 """Commands in documents besides our own, and who runs them. Any may install an extra that pyproject.toml has."""
 
@@ -52,10 +52,11 @@ RUN_HERE = ("evaluate", "list")
 """With two episodes, unless it names a run folder or a file; as it is."""
 
 PARSED_ONLY = {
-    "train": "minutes of training; .ci/run and the tests of training run short ones",
+    "train": "minutes of training; .ci/jobs and the tests of training run short ones",
     "leaderboard": "hours; tests/test_leaderboard.py runs small ones",
     "reproduce": "minutes; tests of the reproductions run small ones",
-    "benchmark": "a minute; .ci/run runs it with --quick",
+    "compile": "minutes; .ci/run begins with it, tests/test_compile_ahead.py compiles two kernels",
+    "benchmark": "a minute; .ci/jobs runs it with --quick",
     "pack": "needs a trained run; tests/test_packed.py",
     "curves": "needs several runs; tests/test_learning_curves.py",
     "replay": "a page of its own; tests/test_replay.py",
@@ -208,7 +209,7 @@ def test_newcomers_path_is_short_and_run_as_written():
     assert 3 <= len(newcomer()) <= 6
     assert any("train" in line for line in newcomer())
     assert "docs/start.md" in (ROOT / ".ci" / "newcomer").read_text(encoding="utf-8")
-    assert ".ci/newcomer" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert ".ci/newcomer" in (ROOT / ".ci" / "jobs").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
