@@ -389,9 +389,9 @@ def _benchmark(c: Benchmark) -> None:
 
 
 def _compile(c: Compile) -> None:
-    from agents.compile_ahead import compile_all, words
+    from agents.compile_ahead import compile_all
 
-    print(words(compile_all(c.processes)))
+    print(f"all kernels are compiled: {compile_all(c.processes)}")
 
 
 def _list(c: List) -> None:

@@ -50,7 +50,8 @@ helper = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract"}
 """Decorator of small scalar functions that kernels call; LLVM inlines them."""
 
 routine = numba.njit(error_model="numpy", fastmath={"contract"})
-"""Decorator of long functions of rare use: LLVM may call them, for inlined everywhere they take minutes to compile."""
+"""Decorator of functions that kernels call rarely: LLVM may leave them as calls. Where all is inlined, down to the last
+helper, long ones take a minute to compile."""
 
 
 FIXED = {"x": 4, "p": 2, "x6": 6, "p3": 3, "a2": 2}
@@ -108,9 +109,10 @@ class Kernel:
         return _SILENT.copy().run(gufunc, *arrays, **options)
 
     def prepare(self) -> None:
-        """Compile, or load from the cache, what has not been yet."""
+        """Compile this kernel, or load it from the cache, unless that is done; its first call does the same."""
         if self._gufunc is None:
-            with _COMPILING, _own_cache(f"{self.__module__}.{self.__name__}"):
+            source = Path(self._function.__code__.co_filename).stem
+            with _COMPILING, _own_cache(f"{source}.{self.__name__}"):
                 self._compile()
 
     def _compile(self) -> None:
@@ -162,7 +164,7 @@ _DIGEST = _sources_digest()  # at import, before anyone edits a source that is a
 
 @lru_cache(maxsize=1)
 def cache_folder() -> str:
-    """Folder of machine code made from exactly these sources.
+    """Folder of machine code made from exactly these sources, chosen at the first call.
 
     Numba's own cache notices a change of the kernel's file only, not one of a helper inlined from another file, so
     the folder's name carries a digest of all sources.
@@ -179,8 +181,8 @@ def cache_folder() -> str:
 
 
 @contextlib.contextmanager
-def _own_cache(kernel: str) -> Iterator[None]:
-    """Point numba's cache at our folder while this kernel is compiled or loaded, by one process at a time.
+def _own_cache(name: str) -> Iterator[None]:
+    """Point numba's cache at our folder while the kernel of this name is compiled or loaded, by one process at a time.
 
     Numba caches a gufunc's body and its loop in two files that name each other; two processes that compile the same
     kernel at once can leave a body of one beside a loop of the other, and the next process crashes. Hence the lock.
@@ -189,7 +191,7 @@ def _own_cache(kernel: str) -> Iterator[None]:
     Path(folder).mkdir(parents=True, exist_ok=True)
     _CONFIG.CACHE_DIR = folder
     try:
-        with FileLock(f"{folder}/{kernel}.lock"):
+        with FileLock(f"{folder}/{name}.lock"):
             yield
     finally:
         _CONFIG.CACHE_DIR = before
