@@ -8,11 +8,12 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.bound_gradient import ACTIONS, BoundGradient
 from agents.transmitter_network import NETWORK
 
 
 class Algorithm(NamedTuple):
-    """A learner of Stable-Baselines3 or sb3-contrib.
+    """A learner of Stable-Baselines3 or sb3-contrib, or one of ours with their interface.
 
     Attributes:
         learner: its class.
@@ -40,6 +41,8 @@ class Algorithm(NamedTuple):
         """Why it cannot be trained with a preset on a scenario's kind of actions; None if it can."""
         if not self.on_policy and actions == "discrete":
             return f"cannot choose among actions={actions!r}, it needs a Box of them, such as actions='continuous'"
+        if self.learner is BoundGradient and actions != ACTIONS:
+            return f"follows what actions do by equations of actions={ACTIONS!r} only, not of {actions!r}"
         if not self.on_policy and "imitation" in preset:
             return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
         if not self.on_policy and "first_action" in preset:
@@ -68,6 +71,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "ppo_scratch": Algorithm(PPO),
     "recurrent_ppo": Algorithm(RecurrentPPO, "MlpLstmPolicy"),
     "sac": Algorithm(SAC, on_policy=False),
+    "bound_gradient": Algorithm(BoundGradient),
 }
 """Algorithms by the name `--algo` takes; each has its settings in a scenario's preset (`agents.presets`)."""
 

@@ -28,7 +28,8 @@ class Train:
     """Environment id (see `passive-env list`)."""
     algo: str = "ppo"
     """Learning algorithm: ppo (begins as a rule or a teacher's imitation, as its preset says), ppo_long (the same with
-    more time, where its preset says so), ppo_scratch (begins with nothing), recurrent_ppo (LSTM) or sac."""
+    more time, where its preset says so), ppo_scratch (begins with nothing), recurrent_ppo (LSTM),
+    sac, or bound_gradient (down the bound's own slope; sensors on carriers only)."""
     timesteps: int | None = None
     """Environment steps to train for; default from the preset."""
     seed: int = 0

@@ -104,7 +104,7 @@ def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
     if actor is None:
         raise ValueError(
             f"{run}: a model of {config['algo']} with this network cannot be packed or exported; what can be are "
-            "feed-forward networks of ppo, ppo_long, ppo_scratch and sac"
+            "feed-forward networks of ppo, ppo_long, ppo_scratch, sac and bound_gradient"
         )
     network, arrays = describe(actor)
     trained = {"fields": {}, **config, "interface": trained_interface(dict(config))}

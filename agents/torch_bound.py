@@ -1,0 +1,113 @@
+"""What places of sensors promise, in PyTorch: `ScanFusion.promise` with gradients with respect to the places.
+
+The compiled recursion says how good a layout is, this one also which way it gets better. A minimum range has no
+gradient: `edge_m` lets a sensor's information fade out over some distance above it.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from trackers.scan_fusion import ScanFusion
+
+MIN_LEVEL_M2 = 1.0
+"""Square of the least level distance between a sensor and a target: the azimuth of one overhead has no gradient."""
+
+
+def promised_std(
+    places: Tensor, path: Tensor, std: Tensor, ranging: Tensor, tracker: ScanFusion, step_s: float, edge_m: float = 0.0
+) -> Tensor:
+    """Standard deviation of the position [e, k] m, √(p₁₁ + p₂₂ + p₃₃), after each scan of a track that begins here.
+
+    Args:
+        places: [e, k, n, 3] m of the sensors at the scans.
+        path: [e, k, 3] m of the target.
+        std: [e, 3] of range [m], azimuth and elevation [rad], the same of all sensors.
+        ranging: [n] bool, whether a sensor measures range.
+        tracker: the filter's settings; sensors are taken to measure at its first two scans.
+        step_s: between scans.
+        edge_m: width over which a sensor's information fades in above the minimum range; 0: all at once.
+    Source: `trackers.scan_fusion`, after Yang et al. (1998).
+    """
+    line = path[:, :, None] - places
+    info = converted_information(line, std[:, None, None], ranging)
+    info = (_shown(line.norm(dim=-1), tracker.minimum_range_m, edge_m)[..., None, None] * info).sum(dim=2)
+    return torch.stack([_spread(cov) for cov in _covariances(info, bool(ranging.any()), tracker, step_s)], dim=1)
+
+
+def converted_information(line: Tensor, std: Tensor, ranging: Tensor) -> Tensor:
+    """Information [..., n, 3, 3] 1/m² about a target at `line` [..., n, 3] m from its sensors.
+
+    Args:
+        std: [..., 1, 3] or [..., n, 3] of range [m], azimuth and elevation [rad].
+        ranging: [n] bool; a sensor that measures no range knows azimuth and elevation, linearised.
+    Source: Yang et al. (1998), eqs 5–10, as `trackers.converted_measurement` arranges them; its signs and letters.
+    """
+    level2 = (line[..., :2] ** 2).sum(dim=-1).clamp(min=MIN_LEVEL_M2)
+    r2, level = level2 + line[..., 2] ** 2, level2.sqrt()
+    var, (ua, ue) = std[..., 0] ** 2, (-torch.expm1(-(std[..., i] ** 2)) for i in (1, 2))
+    cc, cs = level2 / r2, level * line[..., 2] / r2  # of the elevation: cos², cos sin
+    s, ea, ee = r2 + var, 1.0 - ua, 1.0 - ue
+    h, steep = 0.5 * ue * (1.0 + ee) + ee * ee * cc, 0.5 * (1.0 + ee)
+    along = h * (var * ea + 0.5 * s * ua * ua) + r2 * ea * ue * (steep - ee * cc)
+    across = 0.5 * h * s * ua * (1.0 + ea)
+    up = var * (1.0 - h) + r2 * ue * (steep - ee * (1.0 - cc))
+    coupling = ea.sqrt() * ee * (var * ee - r2 * ue) * cs
+    det = along * up - coupling * coupling
+    thin = 1.0 / (r2 * std[..., 2] ** 2)
+    far = torch.where(ranging, up / det, thin * (1.0 - cc))
+    high = torch.where(ranging, along / det, thin * cc)
+    mixed = torch.where(ranging, -coupling / det, -thin * cs)
+    wide = torch.where(ranging, 1.0 / across, 1.0 / (level2 * std[..., 1] ** 2))
+    return _turned(far, high, mixed, wide, line[..., 0] / level, line[..., 1] / level)
+
+
+def _turned(far: Tensor, high: Tensor, mixed: Tensor, wide: Tensor, c: Tensor, q: Tensor) -> Tensor:
+    """[..., 3, 3] along x, y, z of what is known along (c, q), up, of both, and across (−q, c)."""
+    xy, xz, yz = (far - wide) * c * q, mixed * c, mixed * q
+    rows = [[far * c * c + wide * q * q, xy, xz], [xy, far * q * q + wide * c * c, yz], [xz, yz, high]]
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def _shown(distance: Tensor, minimum: float, edge: float) -> Tensor:
+    """Share of a sensor's information that is there, from 0 at the minimum range to 1 at `edge` above it."""
+    if edge == 0.0:
+        return (distance >= minimum).to(distance)
+    share = ((distance - minimum) / edge).clamp(0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _covariances(info: Tensor, two_point: bool, tracker: ScanFusion, T: float) -> list[Tensor]:
+    """Covariances [e, 6, 6] after scans of information [e, k, 3, 3]; started as by `trackers.position_information`."""
+    eye, q = torch.eye(3, dtype=info.dtype, device=info.device), tracker.acceleration_std**2
+    floor = eye / tracker.expected_range_m**2 * (1e-6 if two_point else 1.0)  # keeps a start without sensors finite
+    phi, noise = _motion(eye, q, T)
+    first = torch.linalg.inv(info[:, 0] + floor)
+    covs = [_blocks(first, torch.zeros_like(first), (tracker.velocity_std**2 * eye).expand_as(first))]
+    for t in range(1, info.shape[1]):
+        if t == 1 and two_point:
+            R = torch.linalg.inv(info[:, 1] + floor)
+            covs.append(_blocks(R, R / T, (first + R) / T**2 + 0.25 * T**2 * q * eye))
+            continue
+        P = phi @ covs[-1] @ phi.mT + noise
+        known = torch.linalg.solve(eye + info[:, t] @ P[:, :3, :3], info[:, t])  # (information⁻¹ + P)⁻¹
+        P = P - P[:, :, :3] @ known @ P[:, :3]
+        covs.append(0.5 * (P + P.mT))
+    return covs
+
+
+def _motion(eye: Tensor, q: float, T: float) -> tuple[Tensor, Tensor]:
+    """Φ and the noise of a step, [6, 6] each."""
+    zero = torch.zeros_like(eye)
+    return _blocks(eye, T * eye, eye, zero), q * _blocks(0.25 * T**4 * eye, 0.5 * T**3 * eye, T**2 * eye)
+
+
+def _blocks(pp: Tensor, pv: Tensor, vv: Tensor, vp: Tensor | None = None) -> Tensor:
+    """[..., 6, 6] of blocks [..., 3, 3]; symmetric unless the fourth is given."""
+    below = pv.mT if vp is None else vp
+    return torch.cat([torch.cat([pp, pv], dim=-1), torch.cat([below, vv], dim=-1)], dim=-2)
+
+
+def _spread(cov: Tensor) -> Tensor:
+    return cov[:, :3, :3].diagonal(dim1=-2, dim2=-1).sum(dim=-1).sqrt()
