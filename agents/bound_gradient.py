@@ -24,6 +24,7 @@ from torch import Tensor
 from agents.torch_bound import promised_std
 from passive_env.mobile_observation import course_of
 from passive_env.placement import Task
+from passive_env.velocities import SHORTEST_M
 
 ACTIONS = "velocities"
 """The kind of actions that it learns."""
@@ -201,7 +202,7 @@ def carried(actions: Tensor, flight: Flight) -> Tensor:
         c, q = courses[:, t, :1], courses[:, t, 1:]
         ahead, left, up = actions[:, t].unbind(dim=-1)
         way = torch.stack([reach * (c * ahead - q * left), reach * (q * ahead + c * left), climb * up], dim=-1)
-        places.append(_driven(places[-1], _inside(places[-1] + way, limits), reach, climb))
+        places.append(_driven(places[-1], _inside(_across(places[-1], way, limits), limits), reach, climb))
     return torch.stack(places, dim=1)
 
 
@@ -232,6 +233,17 @@ def _installed(actions: Tensor, limits: _Limits) -> Tensor:
 def _site(distance: Tensor, azimuth: Tensor, height: Tensor, limits: _Limits) -> Tensor:
     """Places [e, n, 3]; `passive_env.placement.site`."""
     return torch.stack([limits.entry - distance * torch.cos(azimuth), -distance * torch.sin(azimuth), height], dim=-1)
+
+
+def _across(here: Tensor, way: Tensor, limits: _Limits) -> Tensor:
+    """Where ways [e, n, 3] from places [e, n, 3] lead, as in `passive_env.velocities`."""
+    (x, y, _), (u, v, _) = here.unbind(dim=-1), way.unbind(dim=-1)
+    x = x - limits.entry
+    a, b, c = u * u + v * v, x * u + y * v, x * x + y * y - limits.distance[0] ** 2
+    crosses = (a + 2.0 * b + c < 0.0) & (a > SHORTEST_M**2)
+    far = ((b * b - a * c).clamp(min=1.0).sqrt() - b) / a.clamp(min=SHORTEST_M**2)
+    share = torch.where(crosses, far, torch.ones_like(far))
+    return here + torch.stack([share * u, share * v, way[..., 2]], dim=-1)
 
 
 def _inside(places: Tensor, limits: _Limits) -> Tensor:

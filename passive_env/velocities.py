@@ -12,12 +12,17 @@ from passive_env.placement import commands, seen_from_entry
 ORDER = [1, 0, 2]
 """Of a place's three numbers, azimuth, distance and height, in the first action: what is left stays on the left."""
 
+SHORTEST_M = 1.0
+"""A way shorter than this has no direction."""
+
 
 class Velocities(Continuous):
     """A Box in [−1, 1], three numbers per sensor: ahead and left, along the target's estimated course, and up.
 
-    They are shares of what a carrier can go in a step; 0 stands still. A way longer than that is cut. The first action,
-    which installs the sensors, is distance, azimuth and height of their places, as shares of the limits.
+    They are shares of what a carrier can go in a step; 0 stands still. A way longer than that is cut. One that would end
+    nearer to the entry than a sensor may be sent goes on, at top speed, to where it may: carriers fly across that part,
+    but do not stay. The first action, which installs the sensors, is distance, azimuth and height of their places, as
+    shares of the limits.
 
     Args:
         sensors: how many.
@@ -25,7 +30,7 @@ class Velocities(Continuous):
         step_s: between decisions.
     """
 
-    meaning = "velocities"
+    meaning = "velocities, also across what is too near"
 
     def __init__(self, sensors: int, speed_m_s: float, climb_m_s: float, step_s: float):
         super().__init__(3 * sensors, (False, True, False) * sensors)
@@ -34,8 +39,9 @@ class Velocities(Continuous):
     def commands(self, values: np.ndarray, belief: MobileBelief) -> np.ndarray:
         """Commands [e, 3 n], places, of decoded actions [e, 3 n]."""
         numbers = values.reshape(len(values), -1, 3)
-        goals = belief.platforms[..., :3] + _turned(numbers * self._reach, course_of(belief), 1.0)
         entry = belief.task.entry_distance_m[:, None]
+        way = _turned(numbers * self._reach, course_of(belief), 1.0)
+        goals = _across(belief.platforms[..., :3], way, entry, belief.task.distance_m[:, :1])
         azimuth, distance, height = (part.T for part in seen_from_entry(goals, entry))
         seen = zip(azimuth, distance, height, strict=True)
         places = np.stack([commands(a, d, h, belief.task) for a, d, h in seen], axis=1)
@@ -51,6 +57,20 @@ class Velocities(Continuous):
         way = np.concatenate([way[..., :2] / level, np.clip(way[..., 2:], -1.0, 1.0)], axis=-1)
         numbers = np.where(belief.installed[:, None, None], way, places[..., ORDER])
         return numbers.reshape(len(commands), -1).astype(np.float32)
+
+
+def _across(here: np.ndarray, way: np.ndarray, entry: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Where ways [e, n, 3] m from places [e, n, 3] lead: one that ends too near to the entry to its far side.
+
+    Args:
+        entry, near: [e, 1] m, distances of the entry from the site and of the nearest place from the entry.
+    """
+    p, w = here[..., :2] - np.stack([entry, np.zeros_like(entry)], axis=-1), way[..., :2]
+    a, b, c = (w * w).sum(-1), (p * w).sum(-1), (p * p).sum(-1) - near * near
+    crosses = (a + 2.0 * b + c < 0.0) & (a > SHORTEST_M**2)
+    far = (np.sqrt(np.maximum(b * b - a * c, 0.0)) - b) / np.maximum(a, SHORTEST_M**2)
+    level = np.where(crosses, far, 1.0)[..., None] * w
+    return here + np.concatenate([level, way[..., 2:]], axis=-1)
 
 
 def _turned(vectors: np.ndarray, course: np.ndarray, sense: float) -> np.ndarray:

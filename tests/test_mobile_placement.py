@@ -17,6 +17,7 @@ from agents.report import as_markdown, write_evaluation
 from passive_env import PassiveEnv, PassiveVectorEnv
 from passive_env.catalogue.mobile_placement import MobilePlacement
 from passive_env.core import map_rows
+from passive_env.mobile_observation import course_of
 from passive_env.mobile_simulation import drive, routes, wanted
 from passive_env.placement import entry_prior, seen_from_entry
 from trackers.consistency import mean_band
@@ -294,18 +295,48 @@ def test_velocities_say_where_to_go_from_here():
     np.testing.assert_allclose(moved[2], [-1500.0 * math.sqrt(0.5), -1500.0 * math.sqrt(0.5), 0.0], atol=1e-6)
 
 
-def test_velocities_fly_every_policy_as_places_do():
-    """The encoded way leads to the same place: the same flight but for the rounding of actions to float32."""
+def test_velocities_lead_across_what_is_too_near():
+    """A carrier at the nearest place from the entry, 40 km off, told to fly through it: straight, at top speed."""
+    scenario = MobilePlacement(actions="velocities", nearest_max_m=40e3, azimuth_limit_min_deg=180.0)
+    simulation, world = begin(scenario, 1)
+    installed = np.tile([-1.0, 0.0, -1.0], 3)[None]
+    world, _, _ = simulation.advance(world, simulation.command(world, installed))
+    entry = np.array([world.tape.task.entry_distance_m[0], 0.0])
+    distances = []
+    for _ in range(56):
+        (c, s), before = course_of(simulation.belief(world))[0], world.platforms[0, :, :3]
+        action = np.zeros((1, 9))
+        action[0, :2] = 0.6 * c, -0.6 * s  # the first one away from the site, the others stay
+        world, _, _ = simulation.advance(world, simulation.command(world, action))
+        moved = world.platforms[0, :, :3] - before
+        distances.append(np.hypot(*(world.platforms[0, 0, :2] - entry)))
+        inside = distances[-1] < 40e3 - 1.0
+        np.testing.assert_allclose(moved[0, 1:], 0.0, atol=1e-6)
+        np.testing.assert_allclose(moved[1:], 0.0, atol=1e-6)
+        assert moved[0, 0] == pytest.approx(1500.0) if inside else moved[0, 0] > 0.0
+    assert min(distances) < 1e3
+    assert distances[-1] > 40e3
+    assert world.platforms[0, 0, 0] > entry[0] + 40e3
+
+
+@pytest.mark.parametrize("course", ["random", "flights"])
+def test_velocities_fly_every_policy_as_places_do(course):
+    """The encoded way leads to the same place: the same flight but for the rounding of actions to float32.
+
+    Carriers may stand all round, so that whichever way leads across what is too near ends at a place that is allowed.
+    """
     flown = []
     for actions in KINDS:
-        scenario = MobilePlacement(steps=12, actions=actions)
+        scenario = MobilePlacement(steps=40, actions=actions, course=course, azimuth_limit_min_deg=180.0)
         simulation, world = begin(scenario)
-        for command in random_commands(scenario):
+        towards_entry = random_commands(scenario) * np.tile([1.0, 0.3, 1.0], 3) - np.tile([0.0, 0.7, 0.0], 3)
+        for command in towards_entry:
             action = simulation.actions.encode(command, simulation.belief(world)).astype(float)
             assert (np.abs(action) <= 1.0 + 1e-7).all()
             world, _, _ = simulation.advance(world, simulation.command(world, action))
         flown.append(world)
-    np.testing.assert_allclose(flown[0].platforms[..., :3], flown[1].platforms[..., :3], atol=1.0)
+    places = [world.platforms[..., :3] for world in flown]
+    np.testing.assert_allclose(places[0], places[1], atol=1.0)
     with pytest.raises(TypeError, match="belief"):
         simulation.actions.encode(command)
 
