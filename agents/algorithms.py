@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents.bound_gradient import ACTIONS, BoundGradient
+from agents import bound_gradient
 from agents.transmitter_network import NETWORK
 
 
@@ -20,11 +21,13 @@ class Algorithm(NamedTuple):
         network: name of its policy class.
         on_policy: it learns from whole episodes of all environments and forgets them. Otherwise it learns between steps
             from a replay buffer, knows continuous actions only, and cannot begin with a teacher's or a rule's actions.
+        scenario_refusal: why it cannot learn from a scenario, None if it can; None: it learns from every one.
     """
 
     learner: type[BaseAlgorithm]
     network: str = "MlpPolicy"
     on_policy: bool = True
+    scenario_refusal: Callable[[Any], str | None] | None = None
 
     def arguments(self, preset: dict[str, Any], steps: int, envs: int) -> dict[str, Any]:
         """The learner's keyword arguments: the preset's, cut to episodes of so many steps in so many environments."""
@@ -37,12 +40,13 @@ class Algorithm(NamedTuple):
         """Log once per episode of all environments; off-policy learners count episodes, the others rollouts."""
         return 1 if self.on_policy else envs
 
-    def refusal(self, preset: dict[str, Any], actions: str) -> str | None:
-        """Why it cannot be trained with a preset on a scenario's kind of actions; None if it can."""
+    def refusal(self, preset: dict[str, Any], scenario: Any) -> str | None:
+        """Why it cannot be trained with a preset on a scenario; None if it can."""
+        if self.scenario_refusal is not None and (words := self.scenario_refusal(scenario)) is not None:
+            return words
+        actions = scenario.actions
         if not self.on_policy and actions == "discrete":
             return f"cannot choose among actions={actions!r}, it needs a Box of them, such as actions='continuous'"
-        if self.learner is BoundGradient and actions != ACTIONS:
-            return f"follows what actions do by equations of actions={ACTIONS!r} only, not of {actions!r}"
         if not self.on_policy and "imitation" in preset:
             return "cannot imitate a teacher first, its preset must not have a section 'imitation'"
         if not self.on_policy and "first_action" in preset:
@@ -71,7 +75,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "ppo_scratch": Algorithm(PPO),
     "recurrent_ppo": Algorithm(RecurrentPPO, "MlpLstmPolicy"),
     "sac": Algorithm(SAC, on_policy=False),
-    "bound_gradient": Algorithm(BoundGradient),
+    "bound_gradient": Algorithm(bound_gradient.BoundGradient, scenario_refusal=bound_gradient.refusal),
 }
 """Algorithms by the name `--algo` takes; each has its settings in a scenario's preset (`agents.presets`)."""
 

@@ -5,12 +5,12 @@ at every later scan. So the reward's terms, the bound standing for the error, ha
 action of an episode, the others being as they were; the actor's mean action follows it. The truth serves as it does in
 a reward: while learning. What the actor sees is the observation.
 
-How later actions would answer a changed one is left out. Where none can be better alone, both gradients are 0.
+How later actions would answer a changed one is left out, and that the target's estimated course, by which actions are
+told, would be another one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,13 +21,19 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
+from agents.mixture import parts_of
 from agents.torch_bound import promised_std
+from agents.torch_carriers import carried
 from passive_env.mobile_observation import course_of
-from passive_env.placement import Task
-from passive_env.velocities import SHORTEST_M
+from passive_env.placement import Task, entry_prior
 
 ACTIONS = "velocities"
 """The kind of actions that it learns."""
+
+TERMS = (
+    "log_position_error", "log_position_bound", "position_error", "final_log_position_error", "final_position_error",
+)  # fmt: skip
+"""The reward's terms that a bound can stand for."""
 
 EDGE_M = 1e3
 """Width over which a sensor's information fades in above the minimum range: carriers keep off it."""
@@ -43,7 +49,7 @@ class Flight(NamedTuple):
         scenario: theirs.
         task: what was known of them at first.
         path: [e, k, 3] m, where the target was at the scans.
-        courses: [e, k, 2] unit vectors that actions were told by (`passive_env.mobile_observation.course_of`).
+        courses: [e, k, 2] unit vectors that actions were told by.
     """
 
     scenario: Any
@@ -57,14 +63,15 @@ class BoundGradient(PPO):
 
     Of `PPO`'s arguments those count that say how much is flown and how the network is changed: learning_rate, n_steps,
     batch_size, n_epochs, max_grad_norm and policy_kwargs. It explores with the spread that the policy begins with.
-    A rollout is an episode of all environments, which are `agents.sb3.Sb3VecEnv` of sensors on carriers.
+    A rollout is an episode of all environments, which are `agents.sb3.Sb3VecEnv` of sensors on carriers, or several of
+    them as one (`agents.mixture`).
 
     Args:
         args, kwargs: `PPO`'s.
         max_slope: norm to which the gradient with respect to one action is cut. Where sensors are installed counts a
             hundred times more than one step of their carriers, and few draws more than all the others together.
     Raises:
-        ValueError: a norm that is not positive.
+        ValueError: a norm that is not positive, environments of other kinds, rollouts that are not one episode.
     """
 
     def __init__(self, *args: Any, max_slope: float = 0.5, **kwargs: Any):
@@ -72,6 +79,11 @@ class BoundGradient(PPO):
             raise ValueError(f"max_slope {max_slope}: must be positive")
         self.max_slope = max_slope
         super().__init__(*args, **kwargs)
+
+    def _setup_model(self) -> None:
+        if self.env is not None:
+            _check_environment(self.env, self.n_steps)
+        super()._setup_model()
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_seen", "_flown", "_flights"]
@@ -82,7 +94,7 @@ class BoundGradient(PPO):
         """Fly an episode of all environments, and keep what its gradient needs."""
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
-        parts: list[Any] = [part.env for part in getattr(env, "parts", [env])]
+        parts = [part.env for part in parts_of(env)]
         begun = [(part.scenario, part.world.tape) for part in parts]
         seen, flown, courses = [], [], []
         learner: Any = self  # its last observation, which Stable-Baselines3 types for every kind of environment
@@ -108,7 +120,11 @@ class BoundGradient(PPO):
         return True
 
     def train(self) -> None:
-        """Change the actor along the gradient of what was flown."""
+        """Change the actor along the gradient of what was flown.
+
+        Raises:
+            FloatingPointError: a gradient that is not finite; the actor is as it was.
+        """
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         ends = np.cumsum([len(flight.path) for flight in self._flights])[:-1]
@@ -117,6 +133,11 @@ class BoundGradient(PPO):
             for actions, flight in zip(np.split(self._flown, ends), self._flights, strict=True)
         ]
         slope, bound = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        if not np.isfinite(slope).all():
+            raise FloatingPointError(
+                f"the gradient of the bound is not finite in {(~np.isfinite(slope)).any(axis=(1, 2)).sum()} of "
+                f"{len(slope)} episodes, the last before {self.num_timesteps} steps: nothing was learned from them"
+            )
         x = torch.as_tensor(self._seen, device=self.device).flatten(0, 1)
         g = torch.as_tensor(slope, dtype=torch.float32, device=self.device).flatten(0, 1)
         g = torch.renorm(g, p=2, dim=0, maxnorm=self.max_slope)
@@ -160,107 +181,54 @@ def _rows(flight: Flight, rows: slice) -> Flight:
 def _gradient(actions: np.ndarray, flight: Flight) -> tuple[np.ndarray, np.ndarray]:
     scenario = flight.scenario
     a = torch.tensor(actions, dtype=torch.float64, requires_grad=True)
-    places = carried(a.unflatten(-1, (scenario.sensors, 3)), flight)
-    bound = promised_std(
-        places, torch.as_tensor(flight.path), torch.as_tensor(np.asarray(flight.task.std)),
-        torch.as_tensor(scenario.ranging), scenario.make_tracker(), scenario.step_s, EDGE_M,
-    )  # fmt: skip
+    bound = bound_of(a, flight, EDGE_M)
     loss(bound, scenario).sum().backward()
     assert a.grad is not None
     return a.grad.numpy(), bound.detach().numpy()
 
 
+def bound_of(actions: Tensor, flight: Flight, edge_m: float = 0.0) -> Tensor:
+    """Standard deviations of the position [e, k] m that actions [e, k, 3 n] lead to; edge as `promised_std`'s."""
+    s, task = flight.scenario, flight.task
+    places = carried(
+        actions.unflatten(-1, (s.sensors, 3)), torch.as_tensor(flight.courses), task,
+        s.speed_m_s * s.step_s, s.climb_m_s * s.step_s,
+    )  # fmt: skip
+    path, std, prior = (torch.as_tensor(np.asarray(part)) for part in (flight.path, task.std, entry_prior(task).cov))
+    return promised_std(
+        places, path, std, torch.as_tensor(s.ranging), prior, s.make_tracker(), s.step_s, edge_m
+    )  # fmt: skip
+
+
 def loss(bound: Tensor, scenario: Any) -> Tensor:
     """What episodes [e] lose by the weights of their scenario's reward, bounds [e, k] m standing for errors.
 
-    It knows the terms that a bound can stand for: the position's errors and their logarithms, at every scan and at the
-    last, and the bound's own. They are neither floored nor cut.
+    Its terms are those of `TERMS`, neither floored nor cut.
     """
     log, far = torch.log(bound / 1e3), bound / 1e3
-    logs, errors, final_log, final = (
-        scenario.reward_log_position_error + scenario.reward_log_position_bound, scenario.reward_position_error,
-        scenario.reward_final_log_position_error, scenario.reward_final_position_error,
-    )  # fmt: skip
-    return (logs * log + errors * far).sum(dim=1) + final_log * log[:, -1] + final * far[:, -1]
+    each_log, each_bound, each, last_log, last = (scenario.reward_weights.get(term, 0.0) for term in TERMS)
+    return ((each_log + each_bound) * log + each * far).sum(dim=1) + last_log * log[:, -1] + last * far[:, -1]
 
 
-# -- where actions take carriers ---------------------------------------------------------------------------------------
+def refusal(scenario: Any) -> str | None:
+    """Why nothing can be learned from a scenario; None if it can."""
+    if scenario.actions != ACTIONS:
+        return f"follows what actions do by equations of actions={ACTIONS!r} only, not of {scenario.actions!r}"
+    known = ", ".join(f"reward_{term}" for term in TERMS)
+    unknown = [f"reward_{term}" for term in scenario.reward_weights if term not in TERMS]
+    if unknown:
+        return f"has no derivative of {', '.join(unknown)}: set it to 0 and weigh {known}"
+    if not scenario.reward_weights:
+        return f"has nothing to follow, all of the reward's weights are 0: set one of {known}"
+    return None
 
 
-def carried(actions: Tensor, flight: Flight) -> Tensor:
-    """Places [e, k, n, 3] m at the scans, by `passive_env.velocities` and `passive_env.mobile_simulation.drive`.
-
-    Args:
-        actions: [e, k, n, 3] in [−1, 1]: first the places of installation, then ahead, left and up.
-        flight: supplies tasks, courses and the carriers' speeds.
-    """
-    s, limits = flight.scenario, _limits(flight.task)
-    reach, climb = s.speed_m_s * s.step_s, s.climb_m_s * s.step_s
-    courses = torch.as_tensor(flight.courses)
-    places = [_installed(actions[:, 0], limits)]
-    for t in range(1, actions.shape[1]):
-        c, q = courses[:, t, :1], courses[:, t, 1:]
-        ahead, left, up = actions[:, t].unbind(dim=-1)
-        way = torch.stack([reach * (c * ahead - q * left), reach * (q * ahead + c * left), climb * up], dim=-1)
-        places.append(_driven(places[-1], _inside(_across(places[-1], way, limits), limits), reach, climb))
-    return torch.stack(places, dim=1)
-
-
-class _Limits(NamedTuple):
-    """Where carriers may be sent, each [e, 1] m or rad: distances from the entry and the entry's own from the site."""
-
-    distance: tuple[Tensor, Tensor]
-    azimuth: Tensor
-    top: Tensor
-    entry: Tensor
-
-
-def _limits(task: Task) -> _Limits:
-    column: Callable[[Any], Tensor] = lambda part: torch.as_tensor(np.asarray(part, dtype=float))[:, None]  # noqa: E731
-    near, far = column(task.distance_m[:, 0]), column(task.distance_m[:, 1])
-    return _Limits(
-        (near, far), column(task.azimuth_limit_rad), column(task.height_limit_m), column(task.entry_distance_m)
-    )
-
-
-def _installed(actions: Tensor, limits: _Limits) -> Tensor:
-    """Places [e, n, 3] of sensors by distance, azimuth and height [e, n, 3] in [−1, 1]."""
-    (near, far), (distance, azimuth, height) = limits.distance, actions.unbind(dim=-1)
-    distance = near + 0.5 * (distance + 1.0) * (far - near)
-    return _site(distance, azimuth * limits.azimuth, 0.5 * (height + 1.0) * limits.top, limits)
-
-
-def _site(distance: Tensor, azimuth: Tensor, height: Tensor, limits: _Limits) -> Tensor:
-    """Places [e, n, 3]; `passive_env.placement.site`."""
-    return torch.stack([limits.entry - distance * torch.cos(azimuth), -distance * torch.sin(azimuth), height], dim=-1)
-
-
-def _across(here: Tensor, way: Tensor, limits: _Limits) -> Tensor:
-    """Where ways [e, n, 3] from places [e, n, 3] lead, as in `passive_env.velocities`."""
-    (x, y, _), (u, v, _) = here.unbind(dim=-1), way.unbind(dim=-1)
-    x = x - limits.entry
-    a, b, c = u * u + v * v, x * u + y * v, x * x + y * y - limits.distance[0] ** 2
-    crosses = (a + 2.0 * b + c < 0.0) & (a > SHORTEST_M**2)
-    far = ((b * b - a * c).clamp(min=1.0).sqrt() - b) / a.clamp(min=SHORTEST_M**2)
-    share = torch.where(crosses, far, torch.ones_like(far))
-    return here + torch.stack([share * u, share * v, way[..., 2]], dim=-1)
-
-
-def _inside(places: Tensor, limits: _Limits) -> Tensor:
-    """The places [e, n, 3] that carriers are sent to: distance, azimuth and height each cut to its limits."""
-    x, y, z = places.unbind(dim=-1)
-    along = limits.entry - x
-    distance = _level(along, y).clamp(*limits.distance)
-    azimuth = torch.atan2(-y, along).clamp(-limits.azimuth, limits.azimuth)
-    return _site(distance, azimuth, z.clamp(torch.zeros_like(limits.top), limits.top), limits)
-
-
-def _driven(here: Tensor, goal: Tensor, reach: float, climb: float) -> Tensor:
-    """Places [e, n, 3] after a step on the straight way to a goal."""
-    x, y, z = (goal - here).unbind(dim=-1)
-    share = (reach / _level(x, y)).clamp(max=1.0)
-    return here + torch.stack([share * x, share * y, z.clamp(-climb, climb)], dim=-1)
-
-
-def _level(x: Tensor, y: Tensor) -> Tensor:
-    return (x * x + y * y).clamp(min=1e-12).sqrt()
+def _check_environment(env: VecEnv, n_steps: int) -> None:
+    """Refuse environments in which carriers do not fly velocities, and rollouts that are not one episode of all."""
+    for part in parts_of(env):
+        scenario = part.env.scenario
+        words = refusal(scenario) if hasattr(scenario, "climb_m_s") else "needs sensors on carriers"
+        if words is not None:
+            raise ValueError(f"BoundGradient on {type(scenario).__name__} {words}")
+        if n_steps != scenario.steps:
+            raise ValueError(f"n_steps {n_steps}: must be {scenario.steps}, the steps of an episode")

@@ -29,7 +29,7 @@ class Train:
     algo: str = "ppo"
     """Learning algorithm: ppo (begins as a rule or a teacher's imitation, as its preset says), ppo_long (the same with
     more time, where its preset says so), ppo_scratch (begins with nothing), recurrent_ppo (LSTM),
-    sac, or bound_gradient (down the bound's own slope; sensors on carriers only)."""
+    sac, or bound_gradient (down the bound's own slope; MobilePlacement with actions=velocities only)."""
     timesteps: int | None = None
     """Environment steps to train for; default from the preset."""
     seed: int = 0

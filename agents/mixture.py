@@ -28,6 +28,11 @@ def recorded_environments(envs: int, share: float) -> int:
     return min(max(round(share * envs), 1), envs - 1)
 
 
+def parts_of(env: VecEnv) -> list[Any]:
+    """The vector environments of which one is made: `JoinedVecEnv`'s parts, or itself."""
+    return env.parts if isinstance(env, JoinedVecEnv) else [env]
+
+
 class JoinedVecEnv(VecEnv):
     """Vector environments whose spaces agree, as one; sub-environments stand in the order of the parts.
 

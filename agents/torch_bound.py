@@ -16,8 +16,9 @@ MIN_LEVEL_M2 = 1.0
 
 
 def promised_std(
-    places: Tensor, path: Tensor, std: Tensor, ranging: Tensor, tracker: ScanFusion, step_s: float, edge_m: float = 0.0
-) -> Tensor:
+    places: Tensor, path: Tensor, std: Tensor, ranging: Tensor, prior: Tensor, tracker: ScanFusion, step_s: float,
+    edge_m: float = 0.0,
+) -> Tensor:  # fmt: skip
     """Standard deviation of the position [e, k] m, √(p₁₁ + p₂₂ + p₃₃), after each scan of a track that begins here.
 
     Args:
@@ -25,15 +26,19 @@ def promised_std(
         path: [e, k, 3] m of the target.
         std: [e, 3] of range [m], azimuth and elevation [rad], the same of all sensors.
         ranging: [n] bool, whether a sensor measures range.
-        tracker: the filter's settings; sensors are taken to measure at its first two scans.
+        prior: [e, 6, 6] covariance a step before the first scan; it counts until a track can start.
+        tracker: the filter's settings.
         step_s: between scans.
-        edge_m: width over which a sensor's information fades in above the minimum range; 0: all at once.
+        edge_m: width over which a sensor's information fades in above the minimum range; 0: all at once. What starts
+            a track is not faded.
     Source: `trackers.scan_fusion`, after Yang et al. (1998).
     """
     line = path[:, :, None] - places
     info = converted_information(line, std[:, None, None], ranging)
-    info = (_shown(line.norm(dim=-1), tracker.minimum_range_m, edge_m)[..., None, None] * info).sum(dim=2)
-    return torch.stack([_spread(cov) for cov in _covariances(info, bool(ranging.any()), tracker, step_s)], dim=1)
+    above = line.norm(dim=-1) - tracker.minimum_range_m
+    recursion = _Recursion(prior, ranging, tracker, step_s)
+    covs = [recursion.after(info[:, t], above[:, t], edge_m) for t in range(info.shape[1])]
+    return torch.stack([_spread(cov) for cov in covs], dim=1)
 
 
 def converted_information(line: Tensor, std: Tensor, ranging: Tensor) -> Tensor:
@@ -70,31 +75,64 @@ def _turned(far: Tensor, high: Tensor, mixed: Tensor, wide: Tensor, c: Tensor, q
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def _shown(distance: Tensor, minimum: float, edge: float) -> Tensor:
-    """Share of a sensor's information that is there, from 0 at the minimum range to 1 at `edge` above it."""
+def _shown(above: Tensor, edge: float) -> Tensor:
+    """Share of a sensor's information that is there, so far above the minimum range: 0 below, 1 from the edge on."""
     if edge == 0.0:
-        return (distance >= minimum).to(distance)
-    share = ((distance - minimum) / edge).clamp(0.0, 1.0)
+        return (above >= 0.0).to(above)
+    share = (above / edge).clamp(0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
-def _covariances(info: Tensor, two_point: bool, tracker: ScanFusion, T: float) -> list[Tensor]:
-    """Covariances [e, 6, 6] after scans of information [e, k, 3, 3]; started as by `trackers.position_information`."""
-    eye, q = torch.eye(3, dtype=info.dtype, device=info.device), tracker.acceleration_std**2
-    floor = eye / tracker.expected_range_m**2 * (1e-6 if two_point else 1.0)  # keeps a start without sensors finite
-    phi, noise = _motion(eye, q, T)
-    first = torch.linalg.inv(info[:, 0] + floor)
-    covs = [_blocks(first, torch.zeros_like(first), (tracker.velocity_std**2 * eye).expand_as(first))]
-    for t in range(1, info.shape[1]):
-        if t == 1 and two_point:
-            R = torch.linalg.inv(info[:, 1] + floor)
-            covs.append(_blocks(R, R / T, (first + R) / T**2 + 0.25 * T**2 * q * eye))
-            continue
-        P = phi @ covs[-1] @ phi.mT + noise
-        known = torch.linalg.solve(eye + info[:, t] @ P[:, :3, :3], info[:, t])  # (information⁻¹ + P)⁻¹
+class _Recursion:
+    """The filter's covariances [e, 6, 6], scan by scan, started as by `trackers.position_information`.
+
+    A track waits for a scan that can start it, and, if sensors measure range, for a second one. `torch.where` tells
+    who does what; what it leaves out is finite, so that its gradient is 0.
+    """
+
+    def __init__(self, prior: Tensor, ranging: Tensor, tracker: ScanFusion, step_s: float):
+        self._cov, self._ranging, self._tracker, self._T = prior, ranging, tracker, step_s
+        self._two_point = bool(ranging.any())
+        self._scans = torch.zeros(len(prior), dtype=torch.int64, device=prior.device)
+        self._waited = torch.zeros(len(prior), dtype=prior.dtype, device=prior.device)
+        self._eye = torch.eye(3, dtype=prior.dtype, device=prior.device)
+        self._phi, self._noise = _motion(self._eye, tracker.acceleration_std**2, step_s)
+
+    def after(self, info: Tensor, above: Tensor, edge_m: float) -> Tensor:
+        """The covariances after a scan of sensors' information [e, n, 3, 3], `above` [e, n] m the minimum range."""
+        moved = self._phi @ self._cov @ self._phi.mT + self._noise
+        starting = self._scans < (2 if self._two_point else 1)
+        cov = self._absorbed(info, _shown(above, edge_m), moved)
+        if starting.any():
+            cov = _pick(starting, self._started(info, above >= 0.0, moved), cov)
+        self._cov = cov
+        return cov
+
+    def _absorbed(self, info: Tensor, shown: Tensor, P: Tensor) -> Tensor:
+        total = (shown[..., None, None] * info).sum(dim=1)
+        known = torch.linalg.solve(self._eye + total @ P[:, :3, :3], total)  # (total⁻¹ + P)⁻¹
         P = P - P[:, :, :3] @ known @ P[:, :3]
-        covs.append(0.5 * (P + P.mT))
-    return covs
+        return 0.5 * (P + P.mT)
+
+    def _started(self, info: Tensor, measured: Tensor, moved: Tensor) -> Tensor:
+        T, q, first = self._T, self._tracker.acceleration_std**2, self._scans == 0
+        usable = (measured & self._ranging if self._two_point else measured).any(dim=1)
+        total = (measured[..., None, None] * info).sum(dim=1)
+        if not self._two_point:
+            total = total + self._eye / self._tracker.expected_range_m**2
+        R = torch.linalg.inv(_pick(usable, total, self._eye))
+        self._waited = torch.where(first, 0.0, self._waited + T)
+        waited = self._waited.clamp(min=T)[:, None, None]
+        one = _blocks(R, torch.zeros_like(R), (self._tracker.velocity_std**2 * self._eye).expand_as(R))
+        velocity = (self._cov[:, :3, :3] + R) / waited**2 + 0.25 * waited**2 * q * self._eye
+        started = _pick(first, one, _blocks(R, R / waited, velocity))
+        self._scans = self._scans + usable
+        return _pick(usable, started, _pick(first, moved, self._cov))
+
+
+def _pick(which: Tensor, these: Tensor, others: Tensor) -> Tensor:
+    """Matrices [e, i, i] of episodes that are meant [e], the others' from elsewhere."""
+    return torch.where(which[:, None, None], these, others)
 
 
 def _motion(eye: Tensor, q: float, T: float) -> tuple[Tensor, Tensor]:

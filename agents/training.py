@@ -81,7 +81,7 @@ class Run:
 
     def __post_init__(self) -> None:
         algorithm = find_algorithm(self.algo)
-        refusal = algorithm.refusal(self.preset, self.training_scenario.actions)
+        refusal = algorithm.refusal(self.preset, self.training_scenario)
         if refusal is None and self.runners:
             refusal = algorithm.refusal_by_rllib()
         if refusal is not None:

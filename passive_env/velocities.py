@@ -13,16 +13,16 @@ ORDER = [1, 0, 2]
 """Of a place's three numbers, azimuth, distance and height, in the first action: what is left stays on the left."""
 
 SHORTEST_M = 1.0
-"""A way shorter than this has no direction."""
+"""A way shorter than this has no direction, and one that ends nearer to a limit than this ends at it."""
 
 
 class Velocities(Continuous):
     """A Box in [−1, 1], three numbers per sensor: ahead and left, along the target's estimated course, and up.
 
-    They are shares of what a carrier can go in a step; 0 stands still. A way longer than that is cut. One that would end
-    nearer to the entry than a sensor may be sent goes on, at top speed, to where it may: carriers fly across that part,
-    but do not stay. The first action, which installs the sensors, is distance, azimuth and height of their places, as
-    shares of the limits.
+    They are shares of what a carrier can go in a step; 0 stands still. A way longer than that is cut. One that would
+    end nearer to the entry than a sensor may be sent goes on, at top speed, to where it may: carriers fly across that
+    part, but do not stay. If the far side lies beyond the azimuth's limit, they make for the limit. The first action,
+    which installs the sensors, is distance, azimuth and height of their places, as shares of the limits.
 
     Args:
         sensors: how many.
@@ -67,7 +67,8 @@ def _across(here: np.ndarray, way: np.ndarray, entry: np.ndarray, near: np.ndarr
     """
     p, w = here[..., :2] - np.stack([entry, np.zeros_like(entry)], axis=-1), way[..., :2]
     a, b, c = (w * w).sum(-1), (p * w).sum(-1), (p * p).sum(-1) - near * near
-    crosses = (a + 2.0 * b + c < 0.0) & (a > SHORTEST_M**2)
+    ends = a + 2.0 * b + c + near * near  # squared distance; what ends on the limit does so up to float32
+    crosses = (ends < (near - SHORTEST_M) ** 2) & (a > SHORTEST_M**2)
     far = (np.sqrt(np.maximum(b * b - a * c, 0.0)) - b) / np.maximum(a, SHORTEST_M**2)
     level = np.where(crosses, far, 1.0)[..., None] * w
     return here + np.concatenate([level, way[..., 2:]], axis=-1)

@@ -319,6 +319,41 @@ def test_velocities_lead_across_what_is_too_near():
     assert world.platforms[0, 0, 0] > entry[0] + 40e3
 
 
+@pytest.mark.parametrize("start_m", np.arange(41_000.0, 41_500.0, 50.0))
+def test_a_carrier_sent_to_the_nearest_distance_stops_there(start_m):
+    """Its encoded way ends at the limit up to float32: that is not a way across what is too near."""
+    scenario = MobilePlacement(actions="velocities", nearest_max_m=40e3)
+    simulation, world = begin(scenario, 8)
+    near, far = world.tape.task.distance_m.T
+    azimuth = np.linspace(-0.9, 0.9, 8)
+    places = np.tile([0.0, 0.0, -1.0], (8, 3))
+    places[:, ::3] = azimuth[:, None]
+    places[:, 1::3] = (2.0 * (start_m - near) / (far - near) - 1.0)[:, None]
+    for _ in range(4):
+        action = simulation.actions.encode(places, simulation.belief(world)).astype(float)
+        world, _, _ = simulation.advance(world, simulation.command(world, action))
+        _, distance, _ = seen_from_entry(world.platforms[..., :3], world.tape.task.entry_distance_m[:, None])
+        assert (distance > 40e3 - 0.1).all()
+        places[:, 1::3] = -1.0
+    np.testing.assert_allclose(distance, 40e3, atol=0.1)
+
+
+def test_a_far_side_beyond_the_azimuths_limit_leads_to_the_limit():
+    scenario = MobilePlacement(
+        actions="velocities", nearest_max_m=40e3, azimuth_limit_min_deg=90.0, azimuth_limit_max_deg=90.0
+    )
+    simulation, world = begin(scenario, 1)
+    world, _, _ = simulation.advance(world, simulation.command(world, np.tile([-1.0, 0.1, -1.0], 3)[None]))
+    entry = world.tape.task.entry_distance_m[0]
+    for _ in range(50):
+        c, s = course_of(simulation.belief(world))[0]
+        action = np.tile([0.6 * c, -0.6 * s, 0.0], 3)[None]  # away from the site
+        world, _, _ = simulation.advance(world, simulation.command(world, action))
+    x, y = world.platforms[0, 0, :2]
+    assert x == pytest.approx(entry, abs=1.0)
+    assert 40e3 - 1.0 < abs(y) < 41e3
+
+
 @pytest.mark.parametrize("course", ["random", "flights"])
 def test_velocities_fly_every_policy_as_places_do(course):
     """The encoded way leads to the same place: the same flight but for the rounding of actions to float32.
