@@ -36,11 +36,12 @@ SHARES = ("lost", "collapsed", "nees", "standoff", "nogo")
 
 ROOT = Path(__file__).parents[2]
 SHOWING = (
-    "animation", "artists", "cli", "comparison", "curves", "earth_frame", "episode_arrays", "export", "layers",
-    "main_job", "maneuvers", "mixture", "model_card", "pack", "page", "palette", "parallel", "parameter_sharing",
-    "pettingzoo_env", "pictures", "placement_pictures", "provenance", "recording", "recording_file",
-    "registration", "replay", "replay_job", "replay_record", "report", "run_report", "stone_soup", "svg",
-    "team_vector_env", "track", "track_files", "track_pictures", "track_sample", "training", "tuning",
+    "animation", "artists", "bound_gradient", "cli", "comparison", "curves", "earth_frame", "episode_arrays", "export",
+    "layers", "main_job", "maneuvers", "mixture", "model_card", "pack", "page", "palette", "parallel",
+    "parameter_sharing", "pettingzoo_env", "pictures", "placement_pictures", "provenance", "recording",
+    "recording_file", "registration", "replay", "replay_job", "replay_record", "report", "run_report", "stone_soup",
+    "svg", "team_vector_env", "torch_bound", "torch_carriers", "track", "track_files", "track_pictures", "track_sample",
+    "training", "tuning",
 )  # fmt: skip
 """Modules that compare, draw, write, train and talk to others: no episode of an evaluation depends on them."""
 
