@@ -68,8 +68,8 @@ class BoundGradient(PPO):
 
     Args:
         args, kwargs: `PPO`'s.
-        max_slope: norm to which the gradient with respect to one action is cut. Where sensors are installed counts a
-            hundred times more than one step of their carriers, and few draws more than all the others together.
+        max_slope: norm to which the gradient with respect to one action is cut. Where sensors are installed counts far
+            more than one step of their carriers, and few draws more than all the others together.
     Raises:
         ValueError: a norm that is not positive, environments of other kinds, rollouts that are not one episode.
     """
