@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from training_runs import interrupt, logged
 
 from agents import cli, training
 from agents.algorithms import ALGORITHMS
@@ -14,7 +15,7 @@ from agents.evaluation import fly
 from agents.learned import LearnedPolicy, ModelPolicy, load_model
 from agents.presets import LONGER, load_preset
 from agents.sb3 import Sb3VecEnv
-from agents.training import CHECKPOINT, Checkpoints, Run, new_model, plan, train
+from agents.training import CHECKPOINT, Run, new_model, plan, train
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue import SCENARIOS, make_scenario
 from passive_env.core import Simulation
@@ -70,15 +71,6 @@ def parameters(file: Path, algo: str) -> dict[str, torch.Tensor]:
     return load_model(file, algo).policy.state_dict()
 
 
-def logged(folder: Path) -> dict[str, list[int]]:
-    """Steps at which every curve has a point."""
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator(str(next((folder / "tensorboard").rglob("events.out.tfevents.*")).parent))
-    events.Reload()
-    return {tag: [event.step for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
-
-
 # ------------------------------------------------------------------------------------------------ all of them
 
 
@@ -88,7 +80,7 @@ def test_it_trains_logs_saves_and_flies(finished, algo):
     model = load_model(run.folder / "model.zip", algo)
     assert type(model) is ALGORITHMS[algo].learner
     assert model.num_timesteps == 4 * ROLLOUT
-    curves = logged(run.folder)
+    curves = {tag: [event.step for event in events] for tag, events in logged(run.folder).items()}
     assert {"rollout/ep_rew_mean", "rollout/final_range_error_m", "eval/final_range_error_m", "eval/ratio_to_rule"} <= {
         *curves
     }
@@ -101,19 +93,9 @@ def test_it_trains_logs_saves_and_flies(finished, algo):
 
 
 @EVERY
-def test_an_interrupted_run_resumes_to_exactly_the_same_end(finished, algo, tmp_path, monkeypatch):
+def test_an_interrupted_run_resumes_to_exactly_the_same_end(finished, algo, tmp_path):
     run = dataclasses.replace(finished(algo), folder=tmp_path / "run")
-    proceed = Checkpoints._on_step
-
-    def interrupt(self):
-        if self.num_timesteps > 2 * ROLLOUT + ENVS:
-            raise KeyboardInterrupt
-        return proceed(self)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Checkpoints, "_on_step", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            train(run, progress=False)
+    interrupt(run, 2 * ROLLOUT + ENVS)
     assert not (run.folder / "model.zip").exists()
     assert load_model(run.folder / CHECKPOINT, algo).num_timesteps == 2 * ROLLOUT
     train(run, resume=True, progress=False)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from training_runs import finish, interrupt, logged
 
 from agents import training
 from agents.bound_gradient import EDGE_M, BoundGradient, Flight, bound_of, gradient, loss
@@ -16,7 +17,7 @@ from agents.presets import load_preset
 from agents.sb3 import Sb3VecEnv
 from agents.torch_bound import converted_information, promised_std
 from agents.torch_carriers import carried
-from agents.training import CHECKPOINT, Checkpoints, Run, new_model, plan, train, training_env
+from agents.training import CHECKPOINT, Run, new_model, plan, train, training_env
 from passive_env import PassiveVectorEnv
 from passive_env.catalogue import make_scenario
 from passive_env.mobile_observation import course_of
@@ -221,11 +222,7 @@ def few_evaluation_episodes(monkeypatch):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    run = small_run(tmp_path_factory.mktemp("gradient") / "run")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "EVALUATION_EPISODES", 4)
-        train(run, progress=False)
-    return run
+    return finish(small_run(tmp_path_factory.mktemp("gradient") / "run"), 4)
 
 
 def untrained(run) -> Any:
@@ -234,19 +231,11 @@ def untrained(run) -> Any:
     return model
 
 
-def curves(folder):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator(str(next((folder / "tensorboard").rglob("events.out.tfevents.*")).parent))
-    events.Reload()
-    return {tag: [event.value for event in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
-
-
 def test_it_learns(tmp_path):
     run = small_run(tmp_path / "run", rollouts=12)
     train(run, progress=False)
-    bound = curves(run.folder)["train/position_bound_m"]
-    assert bound[-1] < 0.75 * bound[0]
+    bound = logged(run.folder)["train/position_bound_m"]
+    assert bound[-1].value < 0.75 * bound[0].value
 
 
 def test_both_kinds_of_targets_are_flown_and_learned_from(tmp_path):
@@ -279,19 +268,9 @@ def test_a_checkpoint_holds_no_flights(finished):
     assert not {"_seen", "_flown", "_flights"} & set(vars(model))
 
 
-def test_an_interrupted_run_resumes_to_exactly_the_same_end(finished, tmp_path, monkeypatch):
+def test_an_interrupted_run_resumes_to_exactly_the_same_end(finished, tmp_path):
     run = dataclasses.replace(finished, folder=tmp_path / "run")
-    proceed = Checkpoints._on_step
-
-    def interrupt(self):
-        if self.num_timesteps > 3 * ENVS * STEPS:
-            raise KeyboardInterrupt
-        return proceed(self)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Checkpoints, "_on_step", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            train(run, progress=False)
+    interrupt(run, 3 * ENVS * STEPS)
     train(run, resume=True, progress=False)
     whole, resumed = (
         load_model(folder / "model.zip", "bound_gradient").policy.state_dict()

@@ -22,6 +22,7 @@ import torch
 pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 
 from records import same_record
+from training_runs import logged
 
 import agents.training
 from agents import evaluation
@@ -393,16 +394,12 @@ def test_a_run_leaves_what_a_run_here_leaves(finished):
 
 
 def test_its_curves_have_the_names_of_a_run_here(finished):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    folder = next((finished.folder / "tensorboard").rglob("events.out.tfevents.*")).parent
-    events = EventAccumulator(str(folder))
-    events.Reload()
+    curves = logged(finished.folder)
     assert {
         "rollout/ep_rew_mean", "rollout/final_range_error_m", "eval/final_range_error_m", "eval/ratio_to_paper",
-    } <= set(events.Tags()["scalars"])  # fmt: skip
-    assert [event.step for event in events.Scalars("rollout/ep_rew_mean")] == [ROLLOUT * k for k in (1, 2, 3)]
-    assert [event.step for event in events.Scalars("eval/ratio_to_paper")] == [ROLLOUT, 2 * ROLLOUT]
+    } <= set(curves)  # fmt: skip
+    assert [event.step for event in curves["rollout/ep_rew_mean"]] == [ROLLOUT * k for k in (1, 2, 3)]
+    assert [event.step for event in curves["eval/ratio_to_paper"]] == [ROLLOUT, 2 * ROLLOUT]
 
 
 def test_its_policy_flies_and_is_packed_without_ray(finished, tmp_path):

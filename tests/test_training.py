@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from training_runs import finish, logged
 
 from agents import training
 from agents.cli import main
@@ -54,11 +55,7 @@ def few_evaluation_episodes(monkeypatch):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """An uninterrupted run of four rollouts with a checkpoint after each."""
-    run = tiny_run(tmp_path_factory.mktemp("finished") / "run")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "EVALUATION_EPISODES", 8)
-        train(run, progress=False)
-    return run
+    return finish(tiny_run(tmp_path_factory.mktemp("finished") / "run"), 8)
 
 
 @pytest.fixture
@@ -116,20 +113,15 @@ def test_training_changes_the_policy_and_repeats_itself(finished, tmp_path):
 
 
 def test_logged_curves_hold_the_evaluation_on_the_way(finished):
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    folder = next((finished.folder / "tensorboard").rglob("events.out.tfevents.*")).parent
-    events = EventAccumulator(str(folder))
-    events.Reload()
-    tags = set(events.Tags()["scalars"])
+    curves = logged(finished.folder)
     assert {
         "rollout/ep_rew_mean",
         "rollout/final_range_error_m",
         "eval/final_range_error_m",
         "eval/ratio_to_paper",
-    } <= tags
-    assert [event.step for event in events.Scalars("rollout/ep_rew_mean")] == [ROLLOUT * k for k in (1, 2, 3, 4)]
-    for event in events.Scalars("eval/final_range_error_m"):
+    } <= set(curves)
+    assert [event.step for event in curves["rollout/ep_rew_mean"]] == [ROLLOUT * k for k in (1, 2, 3, 4)]
+    for event in curves["eval/final_range_error_m"]:
         assert 10.0 < event.value < 1e5
 
 
