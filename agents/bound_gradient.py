@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
 from agents.mixture import parts_of
+from agents.sb3 import Sb3VecEnv
 from agents.torch_bound import promised_std
 from agents.torch_carriers import carried
 from passive_env.mobile_observation import course_of
@@ -95,6 +96,8 @@ class BoundGradient(PPO):
         self.policy.set_training_mode(False)
         callback.on_rollout_start()
         parts = [part.env for part in parts_of(env)]
+        if any(np.any(part.world.step) for part in parts):
+            raise ValueError("a rollout must begin with an episode, and the environments are within one: reset them")
         begun = [(part.scenario, part.world.tape) for part in parts]
         seen, flown, courses = [], [], []
         learner: Any = self  # its last observation, which Stable-Baselines3 types for every kind of environment
@@ -195,9 +198,7 @@ def bound_of(actions: Tensor, flight: Flight, edge_m: float = 0.0) -> Tensor:
         s.speed_m_s * s.step_s, s.climb_m_s * s.step_s,
     )  # fmt: skip
     path, std, prior = (torch.as_tensor(np.asarray(part)) for part in (flight.path, task.std, entry_prior(task).cov))
-    return promised_std(
-        places, path, std, torch.as_tensor(s.ranging), prior, s.make_tracker(), s.step_s, edge_m
-    )  # fmt: skip
+    return promised_std(places, path, std, torch.as_tensor(s.ranging), prior, s.make_tracker(), s.step_s, edge_m)
 
 
 def loss(bound: Tensor, scenario: Any) -> Tensor:
@@ -212,6 +213,8 @@ def loss(bound: Tensor, scenario: Any) -> Tensor:
 
 def refusal(scenario: Any) -> str | None:
     """Why nothing can be learned from a scenario; None if it can."""
+    if not hasattr(scenario, "climb_m_s"):
+        return "needs sensors on carriers"
     if scenario.actions != ACTIONS:
         return f"follows what actions do by equations of actions={ACTIONS!r} only, not of {scenario.actions!r}"
     known = ", ".join(f"reward_{term}" for term in TERMS)
@@ -226,8 +229,10 @@ def refusal(scenario: Any) -> str | None:
 def _check_environment(env: VecEnv, n_steps: int) -> None:
     """Refuse environments in which carriers do not fly velocities, and rollouts that are not one episode of all."""
     for part in parts_of(env):
+        if not isinstance(part, Sb3VecEnv):
+            raise ValueError(f"BoundGradient on {type(part).__name__}: needs an agents.sb3.Sb3VecEnv")
         scenario = part.env.scenario
-        words = refusal(scenario) if hasattr(scenario, "climb_m_s") else "needs sensors on carriers"
+        words = refusal(scenario)
         if words is not None:
             raise ValueError(f"BoundGradient on {type(scenario).__name__} {words}")
         if n_steps != scenario.steps:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,11 +41,14 @@ class _Limits(NamedTuple):
 
 
 def _limits(task: Task) -> _Limits:
-    column: Callable[[Any], Tensor] = lambda part: torch.as_tensor(np.asarray(part, dtype=float))[:, None]  # noqa: E731
-    near, far = column(task.distance_m[:, 0]), column(task.distance_m[:, 1])
+    near, far = _column(task.distance_m[:, 0]), _column(task.distance_m[:, 1])
     return _Limits(
-        (near, far), column(task.azimuth_limit_rad), column(task.height_limit_m), column(task.entry_distance_m)
+        (near, far), _column(task.azimuth_limit_rad), _column(task.height_limit_m), _column(task.entry_distance_m)
     )
+
+
+def _column(part: Any) -> Tensor:
+    return torch.as_tensor(np.asarray(part, dtype=float))[:, None]
 
 
 def _installed(actions: Tensor, limits: _Limits) -> Tensor:

@@ -309,6 +309,13 @@ def test_a_gradient_that_is_not_finite_changes_nothing(tmp_path, monkeypatch):
         assert torch.equal(part, before[name]), name
 
 
+def test_a_rollout_begins_with_an_episode(tmp_path):
+    model = untrained(small_run(tmp_path / "run"))
+    model.learn(2 * ENVS, callback=lambda known, _: known["self"].num_timesteps < 2 * ENVS)
+    with pytest.raises(ValueError, match="must begin with an episode"):
+        model.learn(ENVS * STEPS, reset_num_timesteps=False)
+
+
 def test_the_shipped_preset_begins_with_its_teacher(tmp_path):
     run = plan("MobilePlacement", tmp_path / "run", "bound_gradient", envs=4, fields={"steps": 3}, timesteps=24)
     preset = {**run.preset, "imitation": {**run.preset["imitation"], "episodes": 2, "epochs": 1}}

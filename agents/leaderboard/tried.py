@@ -55,15 +55,14 @@ TRIED: dict[str, str] = {
     ),
     "passive/MobilePlacement-v0": (
         "ratios of the time average to greedy's on flights and on drawn courses, then the same at the end, one run "
-        "each, 1,000 episodes of other seeds. By rewards (`--algo ppo` after the same imitation): drawn courses only "
+        "each, 1,000 episodes of other seeds. By rewards (`--algo ppo` after imitating greedy): drawn courses only "
         "1.11 and 0.99, 1.33 and 0.96; a quarter recorded 1.09 and 1.01, half 1.00 and 1.05; half, a lower rate and "
         "the end's logarithm 1.05 and 1.04, 1.31 and 1.15; errors instead of logarithms 1.02 and 1.10, 1.33 and 1.33; "
         "four times the lessons and twice the steps 1.04 and 1.16, 1.36 and 1.45; a network shared between sensors "
         "learned no faster. Down the gradient of the bound: before velocities led across what is too near 1.05 and "
         "1.00, 1.27 and 0.85; since then with 6 million steps 1.01 and 1.01, 0.98 and 0.67 (weight 18 of the end; 8 "
         "is no better at the time average), thrice through every rollout at half the rate 0.98 and 0.99, 0.98 and "
-        "0.70; with 12 million (packed) 0.89 and 0.95, 0.92 and 0.74. Without imitating first it stays a quarter "
-        "behind."
+        "0.70; with 12 million and weight 12 (packed) 0.89 and 0.95, 0.92 and 0.74."
     ),
     "passive/PassiveRadar-v0": (
         "ratios to `timed`, time average on drawn courses and on flights, then the same at the end, 1,000 episodes of "
