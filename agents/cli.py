@@ -136,6 +136,8 @@ class Leaderboard:
     """Add the tables of circumstances that learned policies were not trained in."""
     confirm: int = 0
     """Judge learned policies on so many further episodes, which did not choose the best rule; 0: on the same ones."""
+    full: bool = False
+    """All of these, as docs/leaderboard.md has it: --trackers --generalisation --confirm 2000."""
     fields: tuple[str, ...] = ()
     """Scenario keywords of all environments named: NAME=VALUE …"""
     out: Path = Path("leaderboard")
@@ -321,11 +323,12 @@ def _replay(c: Replay) -> None:
 
 def _leaderboard(c: Leaderboard) -> None:
     from agents.distributed import engine_named
-    from agents.leaderboard import leaderboard
+    from agents.leaderboard import FULL_CONFIRM, leaderboard
 
+    confirm = c.confirm or (FULL_CONFIRM if c.full else 0)
     leaderboard(
-        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers, c.generalisation, c.confirm, c.out,
-        parse_fields(c.fields), engine=engine_named(c.engine, c.workers, c.address),
+        c.envs, c.policies, c.runs, c.episodes, c.seed, c.flights, c.trackers or c.full, c.generalisation or c.full,
+        confirm, c.out, parse_fields(c.fields), engine=engine_named(c.engine, c.workers, c.address),
     )  # fmt: skip
 
 

@@ -18,10 +18,20 @@ from agents.comparison import ratio_of_means
 from agents.evaluation import fly
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
-from agents.leaderboard.contestants import KIND_OF, KINDS, Contestant, chosen, essential, known_policies, unfit
+from agents.leaderboard.contestants import (
+    COSTLY,
+    KIND_OF,
+    KINDS,
+    Contestant,
+    affordable,
+    chosen,
+    known_policies,
+    opponents,
+    unfit,
+)
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
-from agents.leaderboard.report import _room, as_csv, as_markdown
-from agents.leaderboard.standings import interval, resample, standing, verdict
+from agents.leaderboard.report import as_csv, as_markdown
+from agents.leaderboard.standings import finalists, interval, resample, standing, verdict
 from agents.leaderboard.tried import TRIED
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
@@ -33,7 +43,7 @@ from passive_env.catalogue.ownship import Ownship
 from passive_env.catalogue.two_station import TwoStation
 
 EPISODES, SEED, STEPS = 6, 400, 4
-FILES = {"leaderboard.json", "leaderboard.csv", "leaderboard.md", "leaderboard.png"}
+FILES = {"leaderboard.json", "leaderboard.csv", "leaderboard.md", "leaderboard.png", "verdicts.csv"}
 SHORT = TwoStation(steps=STEPS)
 
 
@@ -102,7 +112,11 @@ def test_every_policy_of_every_environment_has_a_kind_and_quick_ones_come_first(
     assert sorted(one.name for one in field) == sorted(policy_names(SCENARIOS[name]))
     ranks = [KINDS.index(one.kind) for one in field]
     assert ranks == sorted(ranks)
-    assert {"rule", "greedy"} <= {one.name for one in essential(field)}
+    environment = environment_id(name)
+    assert set(COSTLY.get(environment, ())) == {one.name for one in field} - {
+        one.name for one in affordable(environment, field)
+    }
+    assert {"rule", "greedy"} <= {one.name for one in opponents(environment, field)}
     assert KINDS.index("oracle") == max(ranks) or "oracle" not in policy_names(SCENARIOS[name])
 
 
@@ -409,6 +423,41 @@ def test_reference_is_the_best_fixed_policy_or_rule_and_no_other():
     assert without["reference"] == "l"
 
 
+def two_errors(**pairs):
+    """A standing of policies by name, kind__name, and (final, average) errors."""
+    field = [Contestant(label.split("__")[1], label.split("__")[0], lambda scenario: None) for label in pairs]
+    return field, {one.name: outcomes_of(*errors) for one, errors in zip(field, pairs.values(), strict=True)}
+
+
+def test_a_learned_policy_is_judged_against_whoever_is_best_at_that_very_error():
+    base = np.random.default_rng(5).uniform(1.0, 2.0, 50)
+    field, flown = two_errors(
+        rule__ends_well=(base, 3.0 * base), fixed__starts_well=(2.0 * base, base), learned__l=(base, base),
+        greedy__g=(base, 4.0 * base), greedy__h=(5.0 * base, base), oracle__o=(0.5 * base, 0.75 * base),
+        planner__p=(base, base),
+    )  # fmt: skip
+    found = standing(SHORT, field, flown, 0)
+    bases = {(each["metric"], each["kind"]): (each["base"], each["oracle"]["ratio"]) for each in found["verdicts"]}
+    assert bases == {
+        ("final_range_error_m", "reference"): ("ends_well", pytest.approx(0.5)),
+        ("final_range_error_m", "greedy"): ("g", pytest.approx(0.5)),
+        ("mean_range_error_m", "reference"): ("starts_well", pytest.approx(0.75)),
+        ("mean_range_error_m", "greedy"): ("h", pytest.approx(0.75)),
+    }
+    assert [one.name for one in finalists(field, found["best_by"])] == ["ends_well", "starts_well", "l", "g", "h", "o"]
+    assert not finalists(field[:2], standing(SHORT, field[:2], flown, 0)["best_by"])  # nobody learned: nothing to judge
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_an_error_that_equals_the_average_in_every_episode_is_judged_once(dimensions):
+    """The horizontal one in the plane."""
+    scenario = make_scenario("PassiveRadar", {"steps": 20, "dimensions": dimensions})
+    field = [by_name("fixed"), by_name("repeat", "l", "learned")]
+    found = standing(scenario, field, {one.name: fly(scenario, one.make(scenario), 4, 0).outcomes for one in field}, 0)
+    assert ("mean_horizontal_error_m" in found["metrics"]) == (dimensions == 3)
+    assert "mean_horizontal_error_m" in found["policies"]["l"]
+
+
 def test_least_bound_leaves_the_oracle_out():
     base = np.linspace(1.0, 2.0, 20)
     found = table_of(rule__a=base, planner__b=0.9 * base, oracle__c=0.1 * base)
@@ -499,18 +548,21 @@ def test_every_environment_has_all_its_policies_on_both_kinds_of_courses(run):
         assert [entry["title"] for entry in found] == [COURSES, FLIGHTS]
         for entry in found:
             assert sorted(entry["policies"]) == sorted([*policy_names(scenario), "learned"])
-            assert {each["base"] for each in entry["verdicts"]} == {entry["best"]["rule"], "greedy"}
+            judged = [metric for metric in entry["metrics"] if metric.endswith("_error_m")]
+            assert {(each["metric"], each["kind"], each["base"]) for each in entry["verdicts"]} == {
+                (metric, kind, entry["best_by"][metric][kind]) for metric in judged for kind in ("reference", "greedy")
+            }
     assert data["about"]["cells"]["new"] > 40
 
 
-def test_every_tracker_is_under_every_essential_policy_or_does_not_fit(run):
+def test_every_tracker_is_under_every_policy_or_does_not_fit(run):
     _, data = run
     found = data["sections"]["trackers"]["passive/TwoStation-v0"]
     assert [entry["title"] for entry in found] == list(TwoStation.trackers)
     for entry in found:
         assert entry["tracker"] == entry["title"]
         learned = {"learned"} if entry["title"] != "fused_ekf" else set()
-        assert set(entry["policies"]) == {"paper", "rule", "rule_tuned", "greedy"} | learned
+        assert set(entry["policies"]) == {*policy_names(TwoStation()), *learned}
         assert entry["unfit"] == ({} if learned else {"learned": "made for other observations"})
 
 
@@ -635,19 +687,24 @@ def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeyp
     )  # fmt: skip
     for (_, entry), (_, before) in zip(entries(data), list(entries(run[1]))[:2], strict=True):
         assert entry["policies"].keys() == before["policies"].keys()
-        best = {kind: entry["best"][kind] for kind in ("rule", "greedy")}
+        names = {before["best_by"][each["metric"]][each["kind"]] for each in entry["verdicts"]}
         scenario = make_scenario("TwoStation", {"steps": STEPS})
         if entry["course"] == "flights":
             scenario = flown_by("TwoStation", HELD_OUT, {"steps": STEPS})
         fresh = {
-            name: fly(scenario, make_policy(name, scenario), 2 * EPISODES, SEED + EPISODES) for name in best.values()
+            name: fly(scenario, make_policy(name, scenario), 2 * EPISODES, SEED + EPISODES)
+            for name in {*names, "oracle"}
         }
         learned = fly(scenario, make_policy("greedy", scenario), 2 * EPISODES, SEED + EPISODES).outcomes
         for each in entry["verdicts"]:
             ours, other = learned.samples[each["metric"]], fresh[each["base"]].outcomes.samples[each["metric"]]
             assert each["mean"]["ratio"] == pytest.approx(ours.mean() / other.mean(), rel=1e-12)
             assert each["p95"]["ratio"] == pytest.approx(np.percentile(ours, 95) / np.percentile(other, 95), rel=1e-12)
-        assert {each["base"] for each in entry["verdicts"]} == set(best.values())
+            oracle = fresh["oracle"].outcomes.samples[each["metric"]]
+            assert each["oracle"]["ratio"] == pytest.approx(oracle.mean() / other.mean(), rel=1e-12)
+        assert {each["base"] for each in entry["verdicts"]} == names
+        assert (entry["confirmation"]["episodes"], entry["confirmation"]["seed"]) == (2 * EPISODES, SEED + EPISODES)
+        assert entry["confirmation"]["policies"].keys() == {*names, "learned", "oracle"}
         assert entry["verdicts"] != before["verdicts"]
     assert f"--confirm {2 * EPISODES}" in data["about"]["command"]
     text = as_markdown(data)
@@ -673,11 +730,13 @@ def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
     assert found
 
 
-def test_room_is_the_oracles_ratio():
-    entry = table_of(rule__a=np.full(40, 8.0), oracle__c=np.full(40, 6.0), learned__d=np.full(40, 7.0))
-    metric = next(iter(entry["metrics"]))
-    assert _room(entry, "a", metric) == "0.750"
-    assert _room(table_of(rule__a=np.full(40, 8.0)), "a", metric) == ""
+def test_room_is_the_oracles_ratio_with_its_interval(run):
+    base = np.full(40, 8.0)
+    with_oracle = table_of(rule__a=base, oracle__c=0.75 * base, learned__d=base) | {"title": "t", "unfit": {}}
+    without = table_of(rule__a=base, learned__d=base) | {"title": "u", "unfit": {}}
+    data = {"about": run[1]["about"], "sections": {"leaderboard": {"passive/X-v0": [with_oracle, without]}}}
+    rows = next(found for found in tables(as_markdown(data)) if "against" in found[0])[1:]
+    assert [row[-1] for row in rows] == ["0.750 [0.750, 0.750]"] * 2 + ["—"] * 2
 
 
 def test_only_environments_are_said_to_have_been_tried():
@@ -692,11 +751,11 @@ def test_tables_of_trackers_and_circumstances(run):
     varied = next(found for found in tables(text) if found[0][0] == "circumstances")
     entry = data["sections"]["generalisation"]["passive/TwoStation-v0"][1]
     shown = dict(zip(varied[0], varied[2], strict=True))
-    (against,) = (
-        e for e in entry["verdicts"] if e["metric"] == entry["headline"] and e["base"] == entry["best"]["rule"]
-    )
+    (against,) = (e for e in entry["verdicts"] if e["metric"] == entry["headline"] and e["kind"] == "reference")
     assert shown["circumstances"] == entry["title"]
-    assert shown["mean / rule"] == "{:.3f} [{:.3f}, {:.3f}]".format(against["mean"]["ratio"], *against["mean"]["ci95"])
+    assert shown["mean / fixed or rule"] == "{:.3f} [{:.3f}, {:.3f}]".format(
+        against["mean"]["ratio"], *against["mean"]["ci95"]
+    )
 
 
 def test_every_row_has_as_many_cells_as_its_head(run):
@@ -735,6 +794,7 @@ def test_head_says_what_it_was_made_with_and_no_computers_name(run):
         "versions",
         "commit",
         "code",
+        "held_out",
     }
     assert set(about) == made_with | {"cells", "seconds"}
     assert str(out) not in (out / "leaderboard.json").read_text()

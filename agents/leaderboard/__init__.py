@@ -17,11 +17,12 @@ from agents.leaderboard.cells import Cell, Flown, code_digest, fly_cells
 from agents.leaderboard.contestants import (
     KINDS,
     Contestant,
+    affordable,
     check_names,
     chosen,
-    essential,
     known_policies,
     learned_policies,
+    opponents,
     run_folders,
     unfit,
 )
@@ -31,9 +32,13 @@ from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
 from agents.provenance import commit, processor_name, versions
 from passive_env.catalogue import environment_id, environment_ids, make_scenario, scenario_name
+from passive_env.flights import load_flights
 from trackers.compiled import available_cores
 
 COURSES, FLIGHTS = "drawn courses", "held-out recorded flights"
+FULL_CONFIRM = 2000
+"""Further episodes on which the full leaderboard judges."""
+
 OWN_FIELDS = ("course", "flights", "flight_split")
 """Fields that the leaderboard sets itself."""
 
@@ -75,16 +80,16 @@ def leaderboard(
     """
     environments = _environments(envs)
     _check(episodes, seed, confirm, fields or {})
-    tables = _plan(environments, policies, runs, flights, trackers, generalisation, fields or {})
+    tables = _plan(environments, bool(envs), policies, runs, flights, trackers, generalisation, fields or {})
     make_folder(out)
     begin = time.perf_counter()
     with engine or nullcontext(here) as fly_by:
         entries, flown = _standings(tables, episodes, seed, out, progress, fly_by)
         if confirm:
             judged = [pair for pair in zip(tables, entries, strict=True) if pair[0].section == "leaderboard"]
-            _confirm(judged, confirm, seed + episodes, out, progress, fly_by)
+            flown = flown.joined(_confirm(judged, confirm, seed + episodes, out, progress, fly_by))
     command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, confirm, fields or {})
-    about = _about(episodes, seed, fields or {}) | {
+    about = _about(episodes, seed, flights, fields or {}) | {
         "command": command, "cells": dict(flown.states), "confirm": confirm,
     }  # fmt: skip
     data: dict[str, Any] = {"about": about, "sections": {}}
@@ -111,17 +116,19 @@ def _standings(
 
 def _confirm(
     judged: Sequence[tuple[Table, dict[str, Any]]], episodes: int, seed: int, out: Path, progress: bool, fly_by: Engine
-) -> None:
+) -> Flown:
     """Replace verdicts by those of fresh episodes: whoever was best by luck of the first ones is so no longer."""
-    fields = [finalists(table.field, entry["best"]) for table, entry in judged]
-    cells = [
-        [Cell(table.environment, table.scenario, one, episodes, seed) for one in field]
-        for (table, _), field in zip(judged, fields, strict=True)
+    taking_part = [
+        (entry, [Cell(table.environment, table.scenario, one, episodes, seed) for one in field])
+        for table, entry in judged
+        if (field := finalists(table.field, entry["best_by"]))
     ]
-    flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
-    for (_, entry), field, row in zip(judged, fields, cells, strict=True):
-        if any(one.kind == "learned" for one in field):
-            entry["verdicts"] = confirmed(field, flown.by_policy(row), entry["best"])
+    flown = fly_cells([cell for _, cells in taking_part for cell in cells], out, progress, fly_by)
+    for entry, cells in taking_part:
+        field = [cell.contestant for cell in cells]
+        entry["confirmation"] = confirmed(field, flown.by_policy(cells), entry["best_by"], seed)
+        entry["verdicts"] = entry["confirmation"].pop("verdicts")
+    return flown
 
 
 def _environments(envs: Sequence[str]) -> list[str]:
@@ -143,10 +150,10 @@ def _check(episodes: int, seed: int, confirm: int, fields: dict[str, Any]) -> No
 
 
 def _plan(
-    environments: Sequence[str], policies: Sequence[str], runs: Sequence[str], flights: bool, trackers: bool,
-    generalisation: bool, fields: dict[str, Any],
+    environments: Sequence[str], named: bool, policies: Sequence[str], runs: Sequence[str], flights: bool,
+    trackers: bool, generalisation: bool, fields: dict[str, Any],
 ) -> list[Table]:  # fmt: skip
-    """All tables, in the order of the report."""
+    """All tables, in the order of the report; an environment that was named must have one."""
     folders = run_folders(runs, environments)
     everybody = {env: _everybody(env, fields, folders.get(env, ())) for env in environments}
     check_names(policies, everybody)
@@ -154,12 +161,14 @@ def _plan(
     for env in environments:
         field = chosen(everybody[env], policies)
         if not field:
+            if named:
+                raise ValueError(f"--policies {' '.join(policies)}: {env} offers none of them; leave it out of --envs")
             continue
         tables += _courses(env, field, flights, fields)
         if trackers:
-            tables += _crossed(env, essential(field), fields)
+            tables += _crossed(env, affordable(env, field), fields)
         if generalisation:
-            tables += _varied(env, essential(field), flights, fields)
+            tables += _varied(env, opponents(env, field), flights, fields)
     return [table for table in tables if table.field]
 
 
@@ -223,7 +232,7 @@ def _command(
     return " ".join(words)
 
 
-def _about(episodes: int, seed: int, fields: dict[str, Any]) -> dict[str, Any]:
+def _about(episodes: int, seed: int, recorded: bool, fields: dict[str, Any]) -> dict[str, Any]:
     """What the leaderboard was made with; no computer's name."""
     return {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -236,4 +245,11 @@ def _about(episodes: int, seed: int, fields: dict[str, Any]) -> dict[str, Any]:
         "versions": versions(),
         "commit": commit(),
         "code": code_digest(),
+        "held_out": _held_out() if recorded else {},
     }
+
+
+def _held_out() -> dict[str, int]:
+    """How many recorded flights no policy was trained on, and by how many aircraft."""
+    flights = load_flights().split("test").flights
+    return {"flights": len(flights), "aircraft": len({flight.icao24 for flight in flights})}

@@ -203,6 +203,12 @@ class Flown(NamedTuple):
         """Outcomes of one table's cells by the names of policies."""
         return {cell.contestant.name: self.outcomes[cell.digest] for cell in cells}
 
+    def joined(self, other: Flown) -> Flown:
+        """What became of both."""
+        return Flown(
+            self.outcomes | other.outcomes, self.states + other.states, self.differing | other.differing
+        )  # fmt: skip
+
     def __str__(self) -> str:
         others = f"flown anew, {', '.join(sorted(self.differing))} being others than in those kept so far"
         words = {"kept": "kept", "new": "flown", "changed": others, "damaged": "flown anew, their files being damaged"}

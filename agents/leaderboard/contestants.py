@@ -23,11 +23,10 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "rule": (
         "rule", "rule_tuned", "rule_perpendicular", "rule_average", "rule_60", "rule_bend", "rule_best", "rule_static",
         "perpendicular", "lead_lag", "split", "open", "angle", "triangle", "nearest", "repeat", "hold", "pursuit",
-        "timed_pursuit",
     ),
     "greedy": (
         "greedy", "greedy_1", "greedy_4", "greedy_after_rule", "greedy_after_optimizer", "skip", "bayes", "hysteresis",
-        "hold10", "timed", "timed10",
+        "hold10", "timed", "timed10", "timed_pursuit",
     ),
     "planner": ("planner", "optimizer"),
     "learned": (PRETRAINED,),
@@ -41,14 +40,16 @@ several or all of them; an oracle knows the truth."""
 KIND_OF: dict[str, str] = {name: kind for kind, names in _NAMES.items() for name in names}
 """Kind of every policy that is known by name."""
 
-ESSENTIAL = (
-    "rule", "rule_tuned", "rule_average", "rule_best", "greedy", "bayes", "timed", "hysteresis", "timed10", "pursuit",
-    "timed_pursuit",
-)  # fmt: skip
-"""Policies flown beside the reference geometry and learned ones where not the policies but the trackers, or the
+COSTLY: dict[str, tuple[str, ...]] = {
+    "passive/RadarPlacement-v0": ("optimizer",),
+    "passive/MobilePlacement-v0": ("optimizer", "greedy_after_optimizer"),
+    "passive/PassiveRadar-v0": ("planner",),
+    "passive/PassiveRadarRetune-v0": ("planner",),
+}
+"""Policies that search for a tenth of a second per episode or longer: not flown where not policies but trackers, or
 circumstances, are compared."""
 
-REFERENCES = ("paper", "fixed", "straight")
+GEOMETRIES = ("paper", "fixed", "straight")
 """Reference geometries, the first one offered counts."""
 
 
@@ -150,11 +151,14 @@ def check_names(names: Sequence[str], fields: Mapping[str, Sequence[Contestant]]
             raise ValueError(f"--policies {name!r}: no environment offers it; known are {', '.join(offered)}")
 
 
-def essential(field: Sequence[Contestant]) -> list[Contestant]:
-    """The reference geometry, the usual rules and greedy ones, and everything learned."""
-    offered = {one.name for one in field}
-    reference = next((name for name in REFERENCES if name in offered), "")
-    return [one for one in field if one.kind == "learned" or one.name in (reference, *ESSENTIAL)]
+def affordable(environment: str, field: Sequence[Contestant]) -> list[Contestant]:
+    """Everyone but those that search too long."""
+    return [one for one in field if one.name not in COSTLY.get(environment, ())]
+
+
+def opponents(environment: str, field: Sequence[Contestant]) -> list[Contestant]:
+    """Of those, everything learned and what it is compared with: fixed policies, rules and greedy ones."""
+    return [one for one in affordable(environment, field) if one.kind in ("fixed", "rule", "greedy", "learned")]
 
 
 def unfit(one: Contestant, scenario: Any) -> str:

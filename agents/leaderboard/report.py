@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from agents.files import atomic_write, save_figure, write_json, write_text
+from agents.leaderboard.contestants import COSTLY, GEOMETRIES
 from agents.leaderboard.pictures import overview
-from agents.leaderboard.standings import BASES
+from agents.leaderboard.standings import BASES, REFERENCE
 from agents.leaderboard.tried import TRIED
 from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.provenance import short_commit
@@ -22,10 +24,11 @@ SHORT_KINDS = ("greedy", "planner", "learned", "oracle")
 
 
 def write_leaderboard(out: Path, data: Mapping[str, Any]) -> list[Path]:
-    """Write ``leaderboard.json``, ``.csv``, ``.md`` and the picture into a folder; returns the files."""
+    """Write ``leaderboard.json``, ``.csv``, ``.md``, the picture and ``verdicts.csv``; returns the files."""
     return [
         write_json(out / "leaderboard.json", data),
         atomic_write(out / "leaderboard.csv", as_csv(data)),
+        atomic_write(out / "verdicts.csv", verdicts_csv(data)),
         write_text(out / "leaderboard.md", as_markdown(data)),
         save_figure(out / PICTURE, overview(_sections(data, "leaderboard"))),
     ]
@@ -52,12 +55,33 @@ def as_csv(data: Mapping[str, Any]) -> str:
     for section in data["sections"]:
         for environment, entry in _standings(data, section):
             rows += [_csv_row(section, environment, entry, policy) for policy in entry["policies"]]
+    return _csv(rows)
+
+
+def verdicts_csv(data: Mapping[str, Any]) -> str:
+    """One row per learned policy, courses, error and opponent; only the head where nothing learned takes part."""
+    return _csv([_verdict_cells(*each) for each in _verdicts(data)])
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
     columns = list(dict.fromkeys(name for row in rows for name in row))
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, fieldnames=columns)
     writer.writeheader()
     writer.writerows(rows)
     return buffer.getvalue()
+
+
+def _verdict_cells(environment: str, entry: Mapping[str, Any], each: Mapping[str, Any]) -> dict[str, Any]:
+    drawn = entry.get("confirmation", entry)
+    row = {
+        "environment": environment, "title": entry["title"], "episodes": drawn["episodes"], "seed": drawn["seed"],
+        "policy": each["policy"], "metric": each["metric"], "base": each["base"], "base_kind": BASES[each["kind"]],
+    }  # fmt: skip
+    for what in ("mean", "p95", "oracle"):
+        ratio = each[what] or {"ratio": "", "ci95": ("", "")}
+        row |= {f"{what}_ratio": ratio["ratio"], f"{what}_low": ratio["ci95"][0], f"{what}_high": ratio["ci95"][1]}
+    return row | {"mean_verdict": each["mean_verdict"], "p95_verdict": each["p95_verdict"], "open": each["open"]}
 
 
 def _csv_row(section: str, environment: str, entry: Mapping[str, Any], policy: str) -> dict[str, Any]:
@@ -96,11 +120,23 @@ def _head(data: Mapping[str, Any]) -> str:
     software = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
     source = f"commit {short_commit(about['commit'])}, " if about["commit"] else ""
     fields = "".join(f", {name}={value}" for name, value in about["fields"].items())
+    machine = f"{about['processor']}, {about['cores']} cores, {about['platform']}"
     return (
         f"{about['episodes']:,} paired episodes per table from seed {about['seed']:,}{fields}: in every table all "
         "policies meet the same targets and noise. Intervals are 95 %, bootstrapped over episodes, those of ratios "
-        f"paired. Made on {about['date']} ({about['processor']}, {about['cores']} cores, {about['platform']}; "
+        f"paired. {_held_out(about)}Made on {about['date']} ({machine}; "
         f"{source}sources {about['code']}; {software}) by\n\n    {about['command']}"
+    )
+
+
+def _held_out(about: Mapping[str, Any]) -> str:
+    """A sentence about recorded targets, if any are flown."""
+    if not about["held_out"]:
+        return ""
+    count = "{flights} flights by {aircraft} aircraft".format(**about["held_out"])
+    return (
+        f"Recorded targets fly {count} that no policy was trained on, each of them many times, with other windows, "
+        "places and noise: more episodes are no more flights. "
     )
 
 
@@ -108,9 +144,8 @@ def short_form(data: Mapping[str, Any]) -> str:
     """One row per environment and kind of courses: the best policy of every kind beside the best fixed one or rule."""
     rows = [_short_row(environment, entry) for environment, entry in _standings(data, "leaderboard")]
     note = (
-        "Ratios to the mean error of the best fixed policy or rule, the best of every kind; below 1 is better. Bound: "
-        "the least mean posterior Cramér–Rao bound at the end [m], a standard deviation that holds for targets as "
-        "restless as the filter assumes."
+        "Ratios to the mean error of the best fixed policy or rule, the best of every kind; below 1 is better. Paper: "
+        f"the reference geometry, {_listed(GEOMETRIES)}, the first one offered."
     )
     return "\n".join([*_rows_table(rows), "", note])
 
@@ -118,22 +153,27 @@ def short_form(data: Mapping[str, Any]) -> str:
 def _short_row(environment: str, entry: Mapping[str, Any]) -> dict[str, str]:
     """Cells by the names of their columns."""
     metric, reference, learned = entry["headline"], entry["reference"], entry["best"].get("learned")
+    geometry = next((name for name in GEOMETRIES if name in entry["policies"]), None)
     tail = entry["policies"][learned]["ratios"][metric]["p95"] if learned else None
     return {
         "environment": _short(environment),
         "targets": _targets(entry),
         "error": entry["metrics"][metric],
-        "best fixed or rule": f"`{reference}`",
+        "best fixed or rule": f"`{reference}`" if _base(entry, REFERENCE) else "",
         "mean [m]": _mean_of(entry, reference),
-        **{kind: _kind_cell(entry, kind) for kind in SHORT_KINDS},
+        "paper": _mean_ratio(entry, geometry),
+        **{kind: _mean_ratio(entry, entry["best"].get(kind)) for kind in SHORT_KINDS},
         "p95, learned": _ratio_words(tail) if tail else "",
-        "bound at the end": _metres(entry["bound"]["mean"]),
     }
 
 
-def _kind_cell(entry: Mapping[str, Any], kind: str) -> str:
-    name = entry["best"].get(kind)
+def _mean_ratio(entry: Mapping[str, Any], name: str | None) -> str:
+    """To the reference, by the error that ranks."""
     return _ratio_words(entry["policies"][name]["ratios"][entry["headline"]]["mean"]) if name else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _learned_part(data: Mapping[str, Any]) -> list[str]:
@@ -142,15 +182,17 @@ def _learned_part(data: Mapping[str, Any]) -> list[str]:
     if not rows:
         return []
     episodes = data["about"]["confirm"]
+    again = f"; these ratios are of {episodes:,} others, whose seeds follow" if episodes else ", the same as here"
     note = (
-        "Ahead: the interval of the ratio lies below 1; behind: above; level: it holds 1. Best means of least mean "
-        "error on the episodes above"
+        "Ahead: the interval of the ratio lies below 1; behind: above; level: it holds 1. Against whom: the fixed "
+        "policy or rule, and the greedy one, of least mean of that very error on the episodes above"
+        f"{again}. Intervals are 95 % each: were all {2 * len(rows)} verdicts in truth level, some "
+        f"{math.ceil(0.1 * len(rows))} would say otherwise. An oracle searches with the targets' true paths, or the "
+        "blockages to come, known: below 1, what knowing them is worth to such a search; above 1, its search is not "
+        "good enough to tell. `RadarPlacement-v0` has none."
     )
-    again = f"; these ratios are of {episodes:,} others, whose seeds follow." if episodes else ", the same as here."
-    note += (
-        f"{again} An oracle searches with the targets' true paths, or the blockages to come, known: the room there is."
-    )
-    return ["## Learned policies against the best rule and the best greedy one", note, "\n".join(table(_VERDICT, rows))]
+    heading = "## Learned policies against the best fixed policy or rule and the best greedy one"
+    return [heading, note, "\n".join(table(_VERDICT, rows))]
 
 
 def _open_part(data: Mapping[str, Any]) -> list[str]:
@@ -171,7 +213,7 @@ def _open_part(data: Mapping[str, Any]) -> list[str]:
 
 
 _VERDICT = [
-    "environment", "targets", "policy", "error", "against", "ratio of means", "mean", "ratio of p95", "p95",
+    "environment", "targets", "policy", "error", "against", "kind", "ratio of means", "mean", "ratio of p95", "p95",
     "oracle's ratio of means",
 ]  # fmt: skip
 
@@ -185,15 +227,9 @@ def _verdicts(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], di
 def _verdict_row(environment: str, entry: Mapping[str, Any], each: Mapping[str, Any]) -> list[str]:
     return [
         _short(environment), _targets(entry), f"`{each['policy']}`", entry["metrics"][each["metric"]],
-        f"`{each['base']}`", _ratio_words(each["mean"]), each["mean_verdict"], _ratio_words(each["p95"]),
-        each["p95_verdict"], _room(entry, each["base"], each["metric"]),
+        f"`{each['base']}`", BASES[each["kind"]], _ratio_words(each["mean"]), each["mean_verdict"],
+        _ratio_words(each["p95"]), each["p95_verdict"], _ratio_words(each["oracle"]) if each["oracle"] else "—",
     ]  # fmt: skip
-
-
-def _room(entry: Mapping[str, Any], base: str, metric: str) -> str:
-    """What the best policy that knows the truth reaches: how much there is to be learned."""
-    oracle, policies = entry["best"].get("oracle"), entry["policies"]
-    return f"{policies[oracle][metric]['mean'] / policies[base][metric]['mean']:.3f}" if oracle else ""
 
 
 def _full_part(data: Mapping[str, Any]) -> list[str]:
@@ -209,7 +245,9 @@ def _full_part(data: Mapping[str, Any]) -> list[str]:
 def _full_note() -> str:
     return (
         "Errors in metres, means over targets; acceleration in m/s². Bound: mean posterior Cramér–Rao bound at the "
-        "end, a standard deviation, of the geometry that the policy flew; the row of that name shows the least. Lost: "
+        "end of the geometry that the policy flew; the row of that name shows the least. It is a standard deviation, "
+        "which a mean error may undercut (of a Gaussian range it is 0.8 of it), for targets as restless as the filter "
+        "assumes, which drawn ones are not. Lost: "
         "as the scenario's `lost_error_m` and `lost_nees` say, at the end; lost late: more than "
         f"{LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps; collapsed: more than "
         f"{COLLAPSE_M / 1e3:.0f} km off at the end, or with a NEES above its 99.99 % quantile."
@@ -219,9 +257,13 @@ def _full_note() -> str:
 def _caption(entry: Mapping[str, Any]) -> str:
     return (
         f"{entry['title'].capitalize()}, {entry['score']} error, tracker `{entry['tracker']}`. Ratios to "
-        f"`{entry['reference']}`, the best fixed policy or rule ({entry['metrics'][entry['headline']]})."
+        f"`{entry['reference']}`, the best {_reference_kind(entry)} ({entry['metrics'][entry['headline']]})."
         + "".join(f" `{name}` does not fit: {why}." for name, why in entry["unfit"].items())
     )
+
+
+def _reference_kind(entry: Mapping[str, Any]) -> str:
+    return "fixed policy or rule" if _base(entry, REFERENCE) else "policy, for no fixed one or rule takes part"
 
 
 def figures_table(entry: Mapping[str, Any]) -> list[str]:
@@ -268,13 +310,33 @@ def _tracker_part(data: Mapping[str, Any]) -> list[str]:
         return []
     parts = [
         "## Trackers",
-        "Every tracker under the same policies and on the same tapes: does a maneuver help the tracker it was made for "
-        "only? Final error in metres. NEES: an honest tracker has the mean that is named. Ratios to the rule or fixed "
-        "policy that is best with the same tracker.",
+        "Every tracker under every policy on the same tapes: does a maneuver help the tracker it was made for only? "
+        "Final error in metres. NEES: an honest tracker has the mean that is named. Ratios to the rule or fixed policy "
+        f"that is best with the same tracker. {_left_out()}",
     ]
     for environment, entries in _sections(data, "trackers").items():
-        parts += [f"### Trackers of `{environment}`", _honest(entries[0]), "\n".join(tracker_table(entries))]
+        parts += [f"### Trackers of `{environment}`", f"{_honest(entries[0])}{_helped(entries)}"]
+        parts.append("\n".join(tracker_table(entries)))
     return parts
+
+
+def _helped(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Which trackers what was learned helps, in words; empty where nothing learned takes part."""
+    found = [
+        f"`{entry['title']}` {_ratio_words(each['mean'])}, {each['mean_verdict']}"
+        for entry in entries
+        for each in entry["verdicts"]
+        if each["kind"] == REFERENCE and each["metric"] == entry["headline"]
+    ]
+    if not found:
+        return ""
+    error = entries[0]["metrics"][entries[0]["headline"]]
+    return f" Learned to the best fixed policy or rule with the same tracker ({error}): {'; '.join(found)}."
+
+
+def _left_out() -> str:
+    named = "; ".join(f"{_listed(names)} of {_short(environment)}" for environment, names in COSTLY.items())
+    return f"Left out, for they search for a tenth of a second per episode or longer: {named}."
 
 
 def _honest(entry: Mapping[str, Any]) -> str:
@@ -315,8 +377,9 @@ def _varied_part(data: Mapping[str, Any]) -> list[str]:
         return []
     parts = [
         "## Generalisation",
-        "The same policies where one thing differs from what learned ones were trained in. Ratios of means to the best "
-        "rule and to the best greedy policy in the same circumstances.",
+        "Where one thing differs from what learned policies were trained in: ratios to the best fixed policy or rule "
+        f"and to the best greedy one in the same circumstances. {_left_out()} Numbers of targets, stations and "
+        "transmitters stay as they are: they decide what a policy sees.",
     ]
     for environment, entries in _sections(data, "generalisation").items():
         parts += [f"### Generalisation in `{environment}`", "\n".join(varied_table(entries))]
@@ -336,14 +399,19 @@ def _varied_row(entry: Mapping[str, Any], name: str) -> dict[str, str]:
     """Cells by the names of their columns."""
     metric = entry["headline"]
     row = {"circumstances": entry["title"], "error": entry["metrics"][metric]}
-    for kind in BASES:
-        best = entry["best"].get(kind)
-        row |= {f"best {kind}": f"`{best}`" if best else "", f"mean, {kind}": _mean_of(entry, best)}
+    for kind, words in BASES.items():
+        best = _base(entry, kind)
+        row |= {f"best {words}": f"`{best}`" if best else "", f"mean, {words}": _mean_of(entry, best)}
     mean = "does not fit" if name in entry["unfit"] else _mean_of(entry, name)
     row |= {"policy": f"`{name}`" if name else "", "mean": mean}
     for what in ("mean", "p95"):
-        row |= {f"{what} / {kind}": _against(entry, name, kind, what) for kind in BASES}
+        row |= {f"{what} / {words}": _against(entry, name, kind, what) for kind, words in BASES.items()}
     return row
+
+
+def _base(entry: Mapping[str, Any], kind: str) -> str | None:
+    """Whom learned policies are compared with by the error that ranks."""
+    return entry["best_by"][entry["headline"]].get(kind)
 
 
 def _mean_of(entry: Mapping[str, Any], name: str | None) -> str:
@@ -352,8 +420,8 @@ def _mean_of(entry: Mapping[str, Any], name: str | None) -> str:
 
 def _against(entry: Mapping[str, Any], name: str, kind: str, what: str) -> str:
     """A learned policy's ratio to the best one of a kind."""
-    wanted = (name, entry["best"].get(kind), entry["headline"])
-    found = [each for each in entry["verdicts"] if (each["policy"], each["base"], each["metric"]) == wanted]
+    wanted = (name, kind, entry["headline"])
+    found = [each for each in entry["verdicts"] if (each["policy"], each["kind"], each["metric"]) == wanted]
     return _ratio_words(found[0][what]) if found else ""
 
 
