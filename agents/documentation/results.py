@@ -16,11 +16,10 @@ RESULTS = Path("benchmarks") / "RESULTS.json"
 LEFT_OUT = re.compile(r"median|its p95|collapsed|NEES|episodes|µs|horizontal average|settled|lost late|scored")
 """Columns of the leaderboard's tables that an environment's page does without."""
 
-SHORT_COLUMNS = ("environment", "error", "best fixed or rule", "mean [m]", "greedy", "planner", "learned", "oracle")
-"""Columns of its short form that the README shows."""
-
-DRAWN = "drawn"
-"""Of the short form's rows the README shows those of drawn courses."""
+SHORT_COLUMNS = (
+    "environment", "error", "best fixed or rule", "mean [m]", "paper", "greedy", "planner", "oracle", "learned",
+)  # fmt: skip
+"""Columns of its short form that the README shows, of drawn courses; behind them what was learned on recorded ones."""
 
 
 def table_after(text: str, heading: str) -> list[list[str]]:
@@ -47,11 +46,13 @@ def baseline_table(root: Path, name: str) -> str:
 
 
 def leaderboard_table(root: Path, argument: str) -> str:
-    """The leaderboard's short form of drawn courses."""
+    """The leaderboard's short form of drawn courses, beside the learned policies' on recorded flights."""
     head, *rows = table_after((root / LEADERBOARD).read_text(encoding="utf-8"), "## In short")
-    column = {name: head.index(name) for name in (*SHORT_COLUMNS, "targets")}
-    shown = [[row[column[name]] for name in SHORT_COLUMNS] for row in rows if row[column["targets"]] == DRAWN]
-    return markdown_table(SHORT_COLUMNS, shown)
+    named = [dict(zip(head, row, strict=True)) for row in rows]
+    recorded = {row["environment"]: row["learned"] for row in named if row["targets"] == "recorded"}
+    drawn = [row for row in named if row["targets"] == "drawn"]
+    shown = [[*(row[name] for name in SHORT_COLUMNS), recorded[row["environment"]]] for row in drawn]
+    return markdown_table((*SHORT_COLUMNS, "learned, recorded flights"), shown)
 
 
 def performance_table(root: Path, argument: str) -> str:
