@@ -32,7 +32,7 @@ from agents.leaderboard.contestants import (
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
 from agents.leaderboard.report import as_csv, as_markdown
 from agents.leaderboard.standings import finalists, interval, resample, standing, verdict
-from agents.leaderboard.tried import TRIED
+from agents.leaderboard.tried import TRIED, Tried
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
 from agents.outcomes import Outcomes
@@ -724,10 +724,13 @@ def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
     monkeypatch.setattr("agents.leaderboard.report.TRIED", {})
     assert "What was tried" not in as_markdown(data)
     name = next(env for env, found in data["sections"]["leaderboard"].items() if any(e["verdicts"] for e in found))
-    monkeypatch.setattr("agents.leaderboard.report.TRIED", {name: "wider rollouts."})
-    found = any(each["open"] for _, entry in entries(data) for each in entry["verdicts"])
-    assert ("wider rollouts." in as_markdown(data)) == found
-    assert found
+    tried = Tried("Ratios.", ("drawn",), (("packed", "1.1"), ("wider rollouts", "1.2")), "Wider is no better.")
+    monkeypatch.setattr("agents.leaderboard.report.TRIED", {name: tried})
+    assert any(each["open"] for _, entry in entries(data) for each in entry["verdicts"])
+    text = as_markdown(data)
+    assert [["tried", "drawn"], ["packed", "1.1"], ["wider rollouts", "1.2"]] in tables(text)
+    assert "Ratios." in text
+    assert "Wider is no better." in text
 
 
 def test_room_is_the_oracles_ratio_with_its_interval(run):
@@ -739,8 +742,17 @@ def test_room_is_the_oracles_ratio_with_its_interval(run):
     assert [row[-1] for row in rows] == ["0.750 [0.750, 0.750]"] * 2 + ["—"] * 2
 
 
-def test_only_environments_are_said_to_have_been_tried():
+def test_only_environments_are_said_to_have_been_tried_and_rows_are_whole():
     assert set(TRIED) <= set(environment_ids())
+    for tried in TRIED.values():
+        assert {len(row) for row in tried.rows} == {1 + len(tried.columns)}
+
+
+def test_of_everything_open_on_the_committed_page_it_is_said_what_was_tried():
+    text = (Path(__file__).parents[1] / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    head, *rows = next(found for found in tables(text.partition("\n## Open\n")[2]))
+    assert "against" in head
+    assert {f"passive/{row[0].strip('`')}" for row in rows} <= set(TRIED)
 
 
 def test_tables_of_trackers_and_circumstances(run):

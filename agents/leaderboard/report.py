@@ -13,7 +13,7 @@ from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.leaderboard.contestants import COSTLY, GEOMETRIES
 from agents.leaderboard.pictures import overview
 from agents.leaderboard.standings import BASES, REFERENCE
-from agents.leaderboard.tried import TRIED
+from agents.leaderboard.tried import TRIED, Tried
 from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.provenance import short_commit
 from agents.report import flatten, percent, table
@@ -206,10 +206,15 @@ def _open_part(data: Mapping[str, Any]) -> list[str]:
         "95th percentile."
     )
     environments = dict.fromkeys(environment for environment, _, each in verdicts if each["open"])
-    tried = [f"- {_short(name)}: {TRIED[name]}" for name in environments if name in TRIED]
-    parts = ["## Open", note, "\n".join(table(_VERDICT, rows)) if rows else ""]
-    parts += ["What was tried:", "\n".join(tried)] if tried else []
-    return [part for part in parts if part]
+    parts = ["## Open", note, *(["\n".join(table(_VERDICT, rows))] if rows else [])]
+    tried = [part for name in environments if name in TRIED for part in _tried(name, TRIED[name])]
+    return parts + (["## What was tried", *tried] if tried else [])
+
+
+def _tried(environment: str, tried: Tried) -> list[str]:
+    """Trainings that were compared, and what they say."""
+    found = table(["tried", *tried.columns], [list(row) for row in tried.rows])
+    return [f"{_short(environment)}. {tried.measured}", "\n".join(found), tried.lesson]
 
 
 _VERDICT = [
