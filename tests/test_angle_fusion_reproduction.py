@@ -337,7 +337,13 @@ def test_wilson_interval_by_hand():
 
 def test_report_and_files(result):
     text = print_angle_fusion(result[0])
-    for words in ("## Claims", "## Range error and lost tracks", "| pdaf_8 ", "Cramér–Rao bound"):
+    for words in (
+        "## What the authors claim",
+        "## Our own cross-checks",
+        "## Range error and lost tracks",
+        "| pdaf_8 ",
+        "Cramér–Rao bound",
+    ):
         assert words in text
     names = sorted(path.name for path in result[1].iterdir())
     assert names == ["lost_tracks.png", "range_error_in_clutter.png", "range_error_with_dropouts.png",

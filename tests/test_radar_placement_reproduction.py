@@ -194,7 +194,13 @@ def test_claims_and_verdicts(trials):
 
 def test_report_and_files(result):
     text = print_radar_placement(result[0])
-    for words in ("## Two radars", "## Where bias and R are evaluated", "## Claims", "N = 4, ±45° sector, ground"):
+    for words in (
+        "## Two radars",
+        "## Where bias and R are evaluated",
+        "## What the authors claim",
+        "## Our own cross-checks",
+        "N = 4, ±45° sector, ground",
+    ):
         assert words in text
     names = sorted(path.name for path in result[1].iterdir())
     assert names == ["figure_1_azimuth_theory.png", "figure_2_elevation_theory.png", "figure_3_both_theory.png",

@@ -5,6 +5,7 @@ import json
 import re
 import tomllib
 import typing
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -16,19 +17,32 @@ from agents import cli
 from agents.page import as_page
 from agents.reproduction import PAPERS, together
 from agents.reproduction.report import (
+    COUNTED,
+    HEADS,
+    ORIGINS,
+    PAPER,
+    SPEC,
     VERDICTS,
     Paper,
     claim,
     claim_cells,
     described,
     markdown_table,
+    of_origin,
     words,
     write_reproduction,
 )
 from agents.reproduction.together import reproduce_all
 
 ROOT = Path(__file__).parents[1]
-SUMMARY = ["paper", "claims", *VERDICTS, "processor time [s]"]
+OWN = {
+    "two-station": {"3, Table 1": 8, "3": 2, "4": 4},
+    "angle-fusion": {"5": 5},
+    "imm-mie": {"4": 9, "abstract": 2},
+    "radar-placement": {"3.1": 4, "3.2": 2, "5": 2},
+    "passive-radar": {"3.1": 3, "3.2": 1, "3.4": 2},
+}
+"""How many claims rest on which part of the papers themselves, as read there; all others are cross-checks."""
 
 
 # ------------------------------------------------------------------------------------------------ the papers themselves
@@ -45,30 +59,61 @@ def page(made):
     return Page((made[0] / "papers.html").read_text(encoding="utf-8"))
 
 
-def summary(text: str) -> list[list[str]]:
-    (found,) = (rows for head, *rows in tables(text) if head == SUMMARY)
+def summary(text: str, origin: str) -> list[list[str]]:
+    (found,) = (rows for head, *rows in tables(text) if head == ["paper", COUNTED[origin], *VERDICTS])
     return found
 
 
 def test_every_claim_of_every_paper_appears_once_with_one_of_three_marks(made, page):
-    told = [rows for head, *rows in page.tables if head[0] == "no."]
+    told = iter([rows for head, *rows in page.tables if head[0] == "no."])
     assert [part.paper.name for part in made[1]] == list(PAPERS)
-    for part, rows in zip(made[1], told, strict=True):
+    for part in made[1]:
         claims = part.result["claims"]
-        cells = [[*map(words, claim_cells(c))] for c in claims]
-        assert rows == [[str(i), c[-1], *c[1:-1], c[0]] for i, c in enumerate(cells, 1)]
-        assert {row[1] for row in rows} <= set(VERDICTS)
-        assert len({c["claim"] for c in claims}) == len(claims)
+        cells = [[*map(words, claim_cells(c))] for origin in ORIGINS for c in of_origin(claims, origin)]
+        assert [*next(told), *next(told)] == [[str(i), *row] for i, row in enumerate(cells, 1)]
+        assert {row[0] for row in cells} <= set(VERDICTS)
+        assert len({c["claim"] for c in claims}) == len(claims) == len(cells)
+    assert next(told, None) is None
 
 
-def test_summary_counts_the_verdicts(made):
-    *rows, total = summary((made[0] / "papers.md").read_text(encoding="utf-8"))
+def test_columns_say_whose_statement_a_claim_is(page):
+    heads = [head for head, *_ in page.tables if head[0] == "no."]
+    assert [head[3] for head in heads] == ["paper", "specification"] * len(PAPERS)
+    assert [head[-1] for head in heads] == ["section of the paper", "section of the specification"] * len(PAPERS)
+
+
+def test_claims_of_the_authors_are_those_that_stand_in_their_papers(made):
+    for part in made[1]:
+        own = of_origin(part.result["claims"], PAPER)
+        assert Counter(c["source"] for c in own) == OWN[part.paper.name]
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_summary_counts_the_verdicts(made, origin):
+    text = (made[0] / "papers.md").read_text(encoding="utf-8")
+    *rows, total = summary(text, origin)
     for part, row in zip(made[1], rows, strict=True):
-        verdicts = [c["verdict"] for c in part.result["claims"]]
+        verdicts = [c["verdict"] for c in part.result["claims"] if c["origin"] == origin]
         assert part.paper.subject in row[0]
-        assert row[1:5] == [str(len(verdicts)), *(str(verdicts.count(verdict)) for verdict in VERDICTS)]
-        assert sum(map(int, row[2:5])) == int(row[1])
-    assert total[1:5] == [str(sum(int(row[i]) for row in rows)) for i in range(1, 5)]
+        assert row[1:] == [str(len(verdicts)), *(str(verdicts.count(verdict)) for verdict in VERDICTS)]
+        assert sum(map(int, row[2:])) == int(row[1])
+    assert total[1:] == [str(sum(int(row[i]) for row in rows)) for i in range(1, 5)]
+
+
+def test_headline_tells_the_authors_claims_first_and_the_cross_checks_apart(made):
+    text = (made[0] / "papers.md").read_text(encoding="utf-8")
+    (own, *ours), *_ = re.findall(r"^(\d+) claims of the papers' authors: (.*?)\. (\d+) cross-checks", text, re.M)
+    assert [own, ours[-1]] == [summary(text, origin)[-1][1] for origin in ORIGINS]
+    assert int(own) == sum(sum(sources.values()) for sources in OWN.values())
+    assert text.index(HEADS[PAPER]) < text.index(HEADS[SPEC])
+
+
+def test_times_are_the_processor_s_and_the_clock_s(made):
+    text = (made[0] / "papers.md").read_text(encoding="utf-8")
+    (rows,) = (rows for head, *rows in tables(text) if head == ["paper", "processor time [s]", "elapsed time [s]"])
+    assert [row[0] for row in rows] == [*PAPERS, "all"]
+    assert all(part.seconds > 0.0 and part.elapsed > 0.0 for part in made[1])
+    assert rows[-1][1:] == [f"{sum(getattr(part, time) for part in made[1]):.0f}" for time in ("seconds", "elapsed")]
 
 
 def test_page_holds_its_pictures_and_fetches_nothing(made, page):
@@ -81,7 +126,7 @@ def test_page_holds_its_pictures_and_fetches_nothing(made, page):
     assert "@import" not in page.style
     named = {attributes["id"] for _, attributes in page.tags if "id" in attributes}
     links = [anchor["href"] for anchor in page.all("a")]
-    assert len(links) == len(PAPERS)
+    assert len(links) == len(ORIGINS) * len(PAPERS)
     assert all(link[0] == "#" and link[1:] in named for link in links)
 
 
@@ -125,19 +170,21 @@ def test_report_says_how_it_was_made(made):
 
 def test_committed_report_is_of_these_claims(made):
     """Numbers are a full run's, but papers and numbers of claims are today's."""
-    rows = summary((ROOT / "docs" / "papers.md").read_text(encoding="utf-8"))[:-1]
-    for part, row in zip(made[1], rows, strict=True):
-        assert part.paper.subject in row[0]
-        assert int(row[1]) == len(part.result["claims"])
-        assert sum(map(int, row[2:5])) == int(row[1])
+    text = (ROOT / "docs" / "papers.md").read_text(encoding="utf-8")
+    for origin in ORIGINS:
+        for part, row in zip(made[1], summary(text, origin)[:-1], strict=True):
+            assert part.paper.subject in row[0]
+            assert int(row[1]) == len(of_origin(part.result["claims"], origin))
+            assert sum(map(int, row[2:])) == int(row[1])
 
 
 # ------------------------------------------------------------------------------------- kept parts and papers that fail
 
 CLAIMS = [
-    claim("1", "a | b < c, x_1 * y_2 * [m]", (1.0, 2.0), 1.5, True, (1.0, 2.0)),
-    claim("2", "nothing came of it", "better", float("nan"), False),
-    claim("3", "faster than others", "no figures", "not timed", "not testable"),
+    claim(PAPER, "1", "a | b < c, x_1 * y_2 * [m]", (1.0, 2.0), 1.5, True, (1.0, 2.0)),
+    claim(SPEC, "7", "computed for the specification", 2.0, 2.0, True),
+    claim(PAPER, "2", "nothing came of it", "better", float("nan"), False),
+    claim(PAPER, "3", "faster than others", "no figures", "not timed", "not testable"),
 ]
 
 
@@ -147,7 +194,8 @@ class Told:
     def __init__(self, name: str, error: BaseException | None = None):
         self.runs: list[tuple[int, tuple[int, ...]]] = []
         self.error = error
-        self.paper = Paper(name, f"About {name}", self, lambda result: {"Table": result["table"]}, "The paper's own.")
+        basis = {PAPER: "Sentences.", SPEC: "Computed."}
+        self.paper = Paper(name, f"About {name}", self, lambda result: {"Table": result["table"]}, basis)
 
     def __call__(self, runs=50, seeds=(0,), out=None):
         self.runs.append((runs, tuple(seeds)))
@@ -213,9 +261,10 @@ def test_a_paper_that_fails_is_reported_and_the_rest_written(tmp_path, capsys):
     assert [part.failure for part in parts] == ["RuntimeError: singular <matrix>", ""]
     assert "singular <matrix>" in capsys.readouterr().err
     text = (tmp_path / "papers.md").read_text(encoding="utf-8")
-    rows = summary(text)
-    assert rows[0][1:] == ["", "", "", "", "not computed"]
-    assert rows[1][1:5] == rows[2][1:5] == ["3", "1", "1", "1"]
+    for origin, counts in ((PAPER, ["3", "1", "1", "1"]), (SPEC, ["1", "1", "0", "0"])):
+        rows = summary(text, origin)
+        assert rows[0][1:] == ["not computed", "", "", ""]
+        assert rows[1][1:] == rows[2][1:] == counts
     assert "Not computed:\n\n    RuntimeError: singular <matrix>" in text
     html = (tmp_path / "papers.html").read_text(encoding="utf-8")
     Page(html)
@@ -228,17 +277,19 @@ def test_a_paper_that_fails_is_reported_and_the_rest_written(tmp_path, capsys):
 
 def test_all_may_fail(tmp_path):
     reproduce_all(tmp_path, 3, (1,), together_of(Told("bad", ValueError("no"))), progress=False)
-    assert summary((tmp_path / "papers.md").read_text(encoding="utf-8"))[-1][1:5] == ["0", "0", "0", "0"]
+    text = (tmp_path / "papers.md").read_text(encoding="utf-8")
+    assert all(summary(text, origin)[-1][1:] == ["0", "0", "0", "0"] for origin in ORIGINS)
 
 
 def test_characters_of_markdown_stay_as_they_are(tmp_path):
     reproduce_all(tmp_path, 3, (1,), together_of(Told("one")), progress=False)
     page = Page((tmp_path / "papers.html").read_text(encoding="utf-8"))
-    (rows,) = (rows for head, *rows in page.tables if head[0] == "no.")
+    rows, checks = (rows for head, *rows in page.tables if head[0] == "no.")
     assert rows[0] == ["1", "reproduced", CLAIMS[0]["claim"], "1 / 2", "1.5", "1 to 2", "1"]
     assert rows[1][4] == ""
+    assert checks == [["4", "reproduced", "computed for the specification", "2", "2", "", "7"]]
     classes = [cell["class"] for cell in page.all("td") if "class" in cell]
-    assert classes == ["reproduced", "not-reproduced", "not-testable"]
+    assert classes == ["reproduced", "not-reproduced", "not-testable", "reproduced"]
     (image,) = page.all("img")
     assert image["alt"] == "A picture (m): y over x"
 

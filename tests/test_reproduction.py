@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from agents import files
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.reproduction import print_report, reproduce_two_station
-from agents.reproduction.report import VERDICTS, claim, markdown_table, within, words
+from agents.reproduction.report import HEADS, ORIGINS, PAPER, SPEC, VERDICTS, claim, markdown_table, within, words
 from agents.reproduction.resampling import bootstrap_means, mean_interval
-from agents.reproduction.two_station.claims import BOUNDS_PAPER_KM, prior_mean_error_km
+from agents.reproduction.two_station.claims import SPECIFIED_BOUNDS_KM, prior_mean_error_km
 from agents.reproduction.two_station.monte_carlo import (
     BEARING_STD,
     FUSED,
@@ -211,11 +211,11 @@ def test_paper_excludes_both_bearings_in_its_filter(result):
 # ------------------------------------------------------------------------------------------------ bounds
 
 
-@pytest.mark.parametrize("name", BOUNDS_PAPER_KM)
+@pytest.mark.parametrize("name", SPECIFIED_BOUNDS_KM)
 def test_bounds_agree_with_the_specification(result, name):
     """Section 10: three final values and the mean over targets and updates, within 5 %."""
     found = result["bounds"]["NATURAL"][name]
-    final, time_mean = BOUNDS_PAPER_KM[name]
+    final, time_mean = SPECIFIED_BOUNDS_KM[name]
     assert found["final_km"] == pytest.approx(final, rel=0.05)
     assert found["time_mean_km"] == pytest.approx(time_mean, rel=0.05)
 
@@ -240,7 +240,8 @@ def test_range_bound_equals_a_plain_recursion():
 
 
 def test_every_claim_has_a_verdict_and_the_vague_one_is_not_testable(result):
-    assert all(set(c) == {"source", "claim", "paper", "ours", "interval", "verdict"} for c in result["claims"])
+    keys = {"origin", "source", "claim", "stated", "ours", "interval", "verdict"}
+    assert all(set(c) == keys and c["origin"] in ORIGINS for c in result["claims"])
     assert all(c["verdict"] in VERDICTS for c in result["claims"])
     assert [c["claim"] for c in result["claims"] if c["verdict"] == "not testable"] == [
         "computation is far below that of traditional methods"
@@ -258,7 +259,7 @@ def test_what_is_not_reproduced_is_said(result):
 def test_report_shows_table_1_beside_ours(result):
     text = print_report(result)
     assert "| 45     | 2.3 / 1.85 / 1.92" in text
-    for heading in ("Table 1", "Score", "Range error at update 45", "Posterior Cramér–Rao bound", "Claims"):
+    for heading in ("Table 1", "Score", "Range error at update 45", "Posterior Cramér–Rao bound", *HEADS.values()):
         assert f"## {heading}" in text
 
 
@@ -285,10 +286,12 @@ def test_one_run_of_one_seed_is_enough_and_none_is_an_error():
             reproduce_two_station(runs=runs, seeds=seeds)
 
 
-def test_claims_refuse_an_unknown_verdict():
-    with pytest.raises(ValueError, match="'perhaps' of claim 'x'"):
-        claim("1", "x", 1, 1, "perhaps")
-    assert claim("1", "x", np.array([1.0]), np.float64(2.0), np.True_)["verdict"] == "reproduced"
+def test_claims_refuse_an_unknown_verdict_and_an_unknown_origin():
+    with pytest.raises(ValueError, match="verdict 'perhaps' of claim 'x'"):
+        claim(PAPER, "1", "x", 1, 1, "perhaps")
+    with pytest.raises(ValueError, match="origin 'rumor' of claim 'x': must be one of 'paper', 'specification'"):
+        claim("rumor", "1", "x", 1, 1, True)
+    assert claim(SPEC, "1", "x", np.array([1.0]), np.float64(2.0), np.True_)["verdict"] == "reproduced"
     assert within([1.0, -2.2], [1.0, -2.0], relative=0.11)
     assert not within([1.0, -2.2], [1.0, -2.0], absolute=0.19)
 

@@ -14,6 +14,19 @@ from agents.files import make_folder, save_figure, write_json, write_text
 
 REPRODUCED, NOT_REPRODUCED, NOT_TESTABLE = VERDICTS = ("reproduced", "not reproduced", "not testable")
 
+PAPER, SPEC = ORIGINS = ("paper", "specification")
+"""Whose statement a claim is.
+
+paper: the authors publish it, as a value of a table or as a sentence. Where a sentence names no number, the criterion
+    is ours and stands in the claim's text.
+specification: it was computed for this project's specification of the paper, concluded there, or set by this project
+    as a threshold. That we meet it says that two of our computations agree, not that the paper is right.
+"""
+
+HEADS = {PAPER: "What the authors claim", SPEC: "Our own cross-checks"}
+COUNTED = {PAPER: "claims", SPEC: "cross-checks"}
+"""By origin: heading above the statements, what they are counted as."""
+
 RESULT = "reproduction.json"
 
 
@@ -25,7 +38,7 @@ class Paper(NamedTuple):
         subject: a heading, in ASCII.
         reproduce: runs, seeds and out (a folder or None) to the result: plain data with paper, settings and claims.
         sections: result to text per head, the tables.
-        sources: what the claims' sources mean.
+        basis: by origin, what the claims rest on, in sentences.
         note: said beside what was run, such as units.
     """
 
@@ -33,12 +46,16 @@ class Paper(NamedTuple):
     subject: str
     reproduce: Callable[..., dict[str, Any]]
     sections: Callable[[Mapping[str, Any]], dict[str, str]]
-    sources: str
+    basis: Mapping[str, str]
     note: str = ""
 
     def words(self, result: Mapping[str, Any]) -> str:
-        """The whole result as text (Markdown)."""
-        return document(result, self.sections(result), self.note)
+        """The whole result as text (Markdown): the paper, what was run, a section per head, and the claims."""
+        return f"# {result['paper']}\n\n{settings_line(result, self.note)}\n\n{chapters(self.told(result), 2)}"
+
+    def told(self, result: Mapping[str, Any]) -> dict[str, str]:
+        """The tables, then the claims by their origin: text per head."""
+        return {**self.sections(result), **judgements(result["claims"], self.basis)}
 
 
 def prepare(runs: int, seeds: Sequence[int], out: Path | None) -> None:
@@ -53,19 +70,6 @@ def prepare(runs: int, seeds: Sequence[int], out: Path | None) -> None:
         raise ValueError(f"--seeds {' '.join(map(str, seeds))}: must not be negative")
     if out is not None:
         make_folder(out)
-
-
-def document(result: Mapping[str, Any], sections: Mapping[str, str], note: str = "") -> str:
-    """A reproduction as text (Markdown): the paper, what was run, a section per head, and the claims.
-
-    Args:
-        result: with paper, settings (runs, seeds) and claims.
-        sections: text per head.
-        note: said beside what was run, such as units.
-    """
-    claims = result["claims"]
-    judged = {"Claims": verdict_line(claims) + "\n\n" + claims_table(claims)}
-    return f"# {result['paper']}\n\n{settings_line(result, note)}\n\n{chapters({**sections, **judged}, 2)}"
 
 
 def settings_line(result: Mapping[str, Any], note: str = "") -> str:
@@ -90,30 +94,35 @@ def _bare(text: str) -> str:
     return text.replace("[", "(").replace("]", ")")
 
 
-def claim(source: str, text: str, paper: Any, ours: Any, verdict: str | bool, interval: Any = None) -> dict[str, Any]:
-    """One statement of a paper beside what we find.
+def claim(
+    origin: str, source: str, text: str, stated: Any, ours: Any, verdict: str | bool, interval: Any = None
+) -> dict[str, Any]:
+    """One statement beside what we find.
 
     Args:
-        source: section of the specification.
+        origin: whose it is, one of `ORIGINS`.
+        source: where it stands, a section of the document that `origin` names.
         text: the statement, with the criterion it is judged by.
-        paper, ours: the two values, numbers (lists per target) or words.
+        stated, ours: the two values, numbers (lists per target) or words.
         verdict: one of `VERDICTS`, or whether the criterion is met.
         interval: 95 % interval of `ours`, (low, high), where there is one.
     Raises:
-        ValueError: unknown verdict.
+        ValueError: unknown origin or verdict.
     """
     if isinstance(verdict, (bool, np.bool_)):
         verdict = REPRODUCED if verdict else NOT_REPRODUCED
-    if verdict not in VERDICTS:
-        raise ValueError(f"verdict {verdict!r} of claim {text!r}: must be one of {', '.join(map(repr, VERDICTS))}")
-    values = {"paper": paper, "ours": ours, "interval": None if interval is None else list(interval)}
-    return {"source": source, "claim": text, **{key: _listed(v) for key, v in values.items()}, "verdict": verdict}
+    for name, value, known in (("origin", origin, ORIGINS), ("verdict", verdict, VERDICTS)):
+        if value not in known:
+            raise ValueError(f"{name} {value!r} of claim {text!r}: must be one of {', '.join(map(repr, known))}")
+    values = {"stated": stated, "ours": ours, "interval": None if interval is None else list(interval)}
+    values = {key: _listed(value) for key, value in values.items()}
+    return {"origin": origin, "source": source, "claim": text, **values, "verdict": verdict}
 
 
-def within(ours: Any, paper: Any, relative: float = 0.0, absolute: float = 0.0) -> bool:
-    """Whether every entry of `ours` lies within relative · |paper| + absolute of `paper`."""
-    ours, paper = np.asarray(ours), np.asarray(paper)
-    return bool((np.abs(ours - paper) <= relative * np.abs(paper) + absolute).all())
+def within(ours: Any, stated: Any, relative: float = 0.0, absolute: float = 0.0) -> bool:
+    """Whether every entry of `ours` lies within relative · |stated| + absolute of `stated`."""
+    ours, stated = np.asarray(ours), np.asarray(stated)
+    return bool((np.abs(ours - stated) <= relative * np.abs(stated) + absolute).all())
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -138,23 +147,41 @@ def words(value: Any) -> str:
     return str(value)
 
 
-CLAIM_HEADER = ("source", "claim", "paper", "ours", "95 % interval", "verdict")
+def judgements(claims: Sequence[Mapping[str, Any]], basis: Mapping[str, str]) -> dict[str, str]:
+    """Counts and table of the claims of each origin that has any, the paper's own first: text per head (Markdown)."""
+    texts, begun = {}, 1
+    for origin in ORIGINS:
+        if found := of_origin(claims, origin):
+            said = f"{verdict_line(found, COUNTED[origin])}. {basis[origin]}"
+            texts[HEADS[origin]] = f"{said}\n\n{claims_table(found, origin, begun)}"
+            begun += len(found)
+    return texts
 
 
-def claims_table(claims: Sequence[Mapping[str, Any]]) -> str:
-    """All claims as a Markdown table."""
-    return markdown_table(CLAIM_HEADER, map(claim_cells, claims))
+def of_origin(claims: Sequence[Mapping[str, Any]], origin: str) -> list[Mapping[str, Any]]:
+    """The claims of one origin, in their order."""
+    return [c for c in claims if c["origin"] == origin]
+
+
+def claims_table(claims: Sequence[Mapping[str, Any]], origin: str, begun: int = 1) -> str:
+    """Claims of one origin as a Markdown table: verdict and claim in front, where a phone shows them.
+
+    Args:
+        begun: number of the first one.
+    """
+    header = ("no.", "verdict", "claim", origin, "ours", "95 % interval", f"section of the {origin}")
+    return markdown_table(header, ((i, *claim_cells(c)) for i, c in enumerate(claims, begun)))
 
 
 def claim_cells(c: Mapping[str, Any]) -> tuple[Any, ...]:
-    """A claim's row below `CLAIM_HEADER`."""
-    return (c["source"], c["claim"], c["paper"], c["ours"], _interval_words(c["interval"]), c["verdict"])
+    """A claim's row of `claims_table`, after its number."""
+    return (c["verdict"], c["claim"], c["stated"], c["ours"], _interval_words(c["interval"]), c["source"])
 
 
-def verdict_line(claims: Sequence[Mapping[str, Any]]) -> str:
+def verdict_line(claims: Sequence[Mapping[str, Any]], counted: str) -> str:
     """How many claims got which verdict."""
     counts = verdict_counts(claims)
-    return f"{len(claims)} claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    return f"{len(claims)} {counted}: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
 
 
 def verdict_counts(claims: Sequence[Mapping[str, Any]]) -> dict[str, int]:

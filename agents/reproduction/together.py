@@ -29,16 +29,20 @@ from agents.page import as_page
 from agents.provenance import NUMERIC, processor_name, versions
 from agents.reproduction import PAPERS
 from agents.reproduction.report import (
-    CLAIM_HEADER,
+    COUNTED,
+    HEADS,
     NOT_REPRODUCED,
     NOT_TESTABLE,
+    ORIGINS,
+    PAPER,
     REPRODUCED,
     RESULT,
+    SPEC,
     VERDICTS,
     Paper,
     chapters,
-    claim_cells,
     markdown_table,
+    of_origin,
     pictures_words,
     prepare,
     settings_line,
@@ -52,12 +56,22 @@ REPORT, PARTS, FINISHED = "papers", "papers", "finished.json"
 
 TITLE = "Five papers repeated"
 INTRODUCTION = f"""What five papers state about tracking with passive sensors and about where to put sensors, beside
-what this package computes. A claim is **{REPRODUCED}** if our value meets the criterion that stands in its text,
-**{NOT_REPRODUCED}** if it does not, and **{NOT_TESTABLE}** if the paper gives nothing to measure it by. Intervals hold
-95 %: bootstrap over Monte Carlo runs, Wilson's for shares. The papers leave choices open; a specification of each one
-fills them, corrects misprints and adds numbers of its own, and every claim says where it stands. Of the papers' figures
-only what their text and tables say is known here: our figures bear their numbers, and hold the papers' values where
-these are given."""
+what this package computes. Two kinds of statements are told and counted apart:
+
+- **{HEADS[PAPER]}**: values of a paper's tables and sentences of its text. Where a sentence names no number, the
+  criterion is ours.
+- **{HEADS[SPEC]}**: the papers leave choices open and hold misprints, so each one has a specification, written for
+  this project, that fills and corrects them. Numbers that were computed for it, what it concludes from them, and
+  thresholds that this project set tell whether our computations agree with one another, not whether a paper is right.
+
+A statement is **{REPRODUCED}** if our value meets the criterion that stands in its text, **{NOT_REPRODUCED}** if it
+does not, and **{NOT_TESTABLE}** if nothing is given to measure it by. A verdict holds for the paper as it is read here:
+with other choices where it leaves them open, it might be another. Intervals hold 95 %: bootstrap over Monte Carlo runs,
+Wilson's for shares. Of the papers' figures only what their text and tables say is known here: our figures bear their
+numbers, and hold the papers' values where these are given."""
+
+TOLD = {PAPER: "claims of the papers' authors", SPEC: "cross-checks of our own"}
+"""What statements of an origin are in the headline."""
 
 
 class Part(NamedTuple):
@@ -67,12 +81,14 @@ class Part(NamedTuple):
         paper: which.
         result: what `reproduction.json` holds; None if it failed.
         seconds: processor time it took.
+        elapsed: time by the clock [s].
         failure: what went wrong, "" if nothing.
     """
 
     paper: Paper
     result: dict[str, Any] | None
     seconds: float = 0.0
+    elapsed: float = 0.0
     failure: str = ""
 
 
@@ -122,16 +138,16 @@ def _part(paper: Paper, folder: Path, runs: int | None, seeds: Sequence[int]) ->
     kept = _kept(paper, folder, key)
     if kept is not None:
         return kept
-    begun = time.process_time()
+    begun = time.process_time(), time.perf_counter()
     try:
         make_folder(folder)
         paper.reproduce(**({} if runs is None else {"runs": runs}), seeds=seeds, out=folder)
     except Exception as error:  # whatever it is, the other papers shall be written
         traceback.print_exception(error, file=sys.stderr)
         return Part(paper, None, failure=f"{type(error).__name__}: {error}")
-    seconds = time.process_time() - begun
-    write_json(folder / FINISHED, {"key": key, "seconds": seconds, "files": _digests(folder)})
-    return Part(paper, _read(folder / RESULT), seconds)
+    took = {"seconds": time.process_time() - begun[0], "elapsed": time.perf_counter() - begun[1]}
+    write_json(folder / FINISHED, {"key": key, **took, "files": _digests(folder)})
+    return Part(paper, _read(folder / RESULT), **took)
 
 
 def _kept(paper: Paper, folder: Path, key: Mapping[str, Any]) -> Part | None:
@@ -139,7 +155,7 @@ def _kept(paper: Paper, folder: Path, key: Mapping[str, Any]) -> Part | None:
     try:
         seal = _read(folder / FINISHED)
         if seal["key"] == key and seal["files"] == _digests(folder):
-            return Part(paper, _read(folder / RESULT), seal["seconds"])
+            return Part(paper, _read(folder / RESULT), seal["seconds"], seal["elapsed"])
     except (OSError, ValueError, KeyError, TypeError):  # missing or damaged: it is computed anew
         pass
     return None
@@ -179,25 +195,42 @@ def report(parts: Sequence[Part], runs: int | None, seeds: Sequence[int]) -> str
 
 
 def summary_table(parts: Sequence[Part]) -> str:
-    """Claims and verdicts per paper, and their sum over those that were computed."""
-    rows = [(_link(part), *(_counts(part) or [None] * 4), _outcome(part)) for part in parts]
-    sums = np.sum([_counts(part) for part in parts if part.result is not None] or np.zeros((1, 4), int), axis=0)
-    total = ("all", *sums, f"{sum(part.seconds for part in parts):.0f}")
-    return markdown_table(("paper", "claims", *VERDICTS, "processor time [s]"), [*rows, total])
+    """The headline and, below their headings, tables: verdicts by origin, the papers' own first, and times."""
+    tables = {HEADS[origin]: _verdicts(parts, origin) for origin in ORIGINS}
+    return f"{headline(parts)}\n\n{chapters({**tables, 'Time': _times(parts)}, 3)}"
+
+
+def headline(parts: Sequence[Part]) -> str:
+    """How many of the authors' claims are reproduced, then how many cross-checks."""
+    claims = [c for part in parts if part.result is not None for c in part.result["claims"]]
+    return ". ".join(verdict_line(of_origin(claims, origin), TOLD[origin]) for origin in ORIGINS) + "."
+
+
+def _verdicts(parts: Sequence[Part], origin: str) -> str:
+    """Claims of one origin and their verdicts per paper, and their sum over those that were computed."""
+    counts = [_counts(part, origin) for part in parts]
+    rows = [(_link(part), *(found or ["not computed", *[None] * 3])) for part, found in zip(parts, counts, strict=True)]
+    total = np.sum([found for found in counts if found] or np.zeros((1, 4), int), axis=0)
+    return markdown_table(("paper", COUNTED[origin], *VERDICTS), [*rows, ("all", *total)])
 
 
 def _link(part: Part) -> str:
     return f"[{part.paper.subject}](#{slugify(part.paper.subject, '-')})"
 
 
-def _counts(part: Part) -> list[int]:
+def _counts(part: Part, origin: str) -> list[int]:
     """Claims, and those of each verdict; empty if there is no result."""
-    claims = part.result["claims"] if part.result else []
+    claims = of_origin(part.result["claims"], origin) if part.result else []
     return [len(claims), *verdict_counts(claims).values()] if part.result else []
 
 
-def _outcome(part: Part) -> str:
-    return "not computed" if part.result is None else f"{part.seconds:.0f}"
+def _times(parts: Sequence[Part]) -> str:
+    """Processor time and time by the clock of what was computed, and their sums."""
+    rows = [
+        (part.paper.name, f"{part.seconds:.0f}", f"{part.elapsed:.0f}") for part in parts if part.result is not None
+    ]
+    total = ("all", f"{sum(part.seconds for part in parts):.0f}", f"{sum(part.elapsed for part in parts):.0f}")
+    return markdown_table(("paper", "processor time [s]", "elapsed time [s]"), [*rows, total])
 
 
 def _how(parts: Sequence[Part], runs: int | None, seeds: Sequence[int]) -> str:
@@ -224,20 +257,5 @@ def _chapter(part: Part) -> str:
     if result is None:
         return f"Not computed:\n\n{indent(part.failure, '    ')}"
     said = f"{result['paper']}. {settings_line(result, paper.note)}"
-    return f"{said}\n\n{chapters({**paper.sections(result), **_judged(part, result)}, 3)}"
-
-
-def _judged(part: Part, result: Mapping[str, Any]) -> dict[str, str]:
-    claims, folder = result["claims"], f"{PARTS}/{part.paper.name}/"
-    numbered = ((i, *_verdict_first(claim_cells(c))) for i, c in enumerate(claims, 1))
-    table = markdown_table(("no.", *_verdict_first(CLAIM_HEADER)), numbered)
-    return {
-        "Claims": f"{verdict_line(claims)}. Where they stand: {part.paper.sources}\n\n{table}",
-        "Pictures": pictures_words(result["pictures"], folder),
-    }
-
-
-def _verdict_first(cells: Sequence[Any]) -> tuple[Any, ...]:
-    """A claim's row with verdict and claim in front, where a phone shows them, and the source at the end."""
-    source, *between, verdict = cells
-    return (verdict, *between, source)
+    pictures = {"Pictures": pictures_words(result["pictures"], f"{PARTS}/{paper.name}/")}
+    return f"{said}\n\n{chapters({**paper.told(result), **pictures}, 3)}"

@@ -1,7 +1,7 @@
 """What the paper (section 5) and its specification (section 8) claim, beside what we find.
 
-The paper's figures are lost, so its own claims are three sentences; the numbers are the specification's, from its own
-Monte Carlo of 500 runs (EKF), 400 runs (association) and 200 runs (variants). Shares carry Wilson intervals.
+The paper's figures are lost, so its own claims are sentences; the numbers are the specification's, from its own Monte
+Carlo of 500 runs (EKF), 400 runs (association) and 200 runs (variants). Shares carry Wilson intervals.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agents.reproduction.angle_fusion.monte_carlo import Record, linear_range_error, range_bound
-from agents.reproduction.report import NOT_TESTABLE, claim, within
+from agents.reproduction.report import NOT_TESTABLE, PAPER, SPEC, claim, within
 from agents.reproduction.resampling import percentile_interval, wilson_interval
 
 SCANS = (1, 5, 10, 20, 30, 40)
@@ -51,7 +51,7 @@ def all_claims(records: Mapping[str, Record], rng: np.random.Generator) -> list[
         *_contrast_claims(records),
         *_fixed_density_claims(records),
         claim(
-            "5", "accuracy is about that of active sensors", "no figures", "no active sensor here", NOT_TESTABLE
+            PAPER, "5", "accuracy is about that of active sensors", "no figures", "no active sensor here", NOT_TESTABLE
         ),
     ]  # fmt: skip
 
@@ -82,55 +82,54 @@ def _clean_claims(records: Mapping[str, Record], rng: np.random.Generator) -> It
     low, high = percentile_interval(draws)
     interval = (low[ROWS], high[ROWS])
     text = "EKF without clutter: range RMSE [m] at scans 1, 5, 10, 20, 30, 40, each within 6 %"
-    yield claim("8", text, EKF_M, ours, within(ours, EKF_M, relative=0.06), interval)
+    yield claim(SPEC, "8", text, EKF_M, ours, within(ours, EKF_M, relative=0.06), interval)
     limit = 3.3 * math.sqrt(0.5 / EKF_RUNS + 0.5 / len(clean.range_error))
     text = f"the same within the sampling error of both Monte Carlos, 3.3 standard errors ({100 * limit:.0f} %)"
-    yield claim("8", text, EKF_M, ours, np.abs(np.log(ours / np.array(EKF_M))).max() <= limit, interval)
+    yield claim(SPEC, "8", text, EKF_M, ours, np.abs(np.log(ours / np.array(EKF_M))).max() <= limit, interval)
     linear = linear_range_error()[ROWS]
     text = "covariance analysis of the filter's gains on a target without process noise [m], each within 1 %"
-    yield claim("8", text, LINEAR_M, linear, within(linear, LINEAR_M, relative=0.01))
+    yield claim(SPEC, "8", text, LINEAR_M, linear, within(linear, LINEAR_M, relative=0.01))
     text = "mean over scans of the EKF's range RMSE [m], within 6 %"
-    yield claim(
-        "8", text, EKF_MEAN_M, mean, within(mean, EKF_MEAN_M, relative=0.06), percentile_interval(draws.mean(-1))
-    )
+    interval = percentile_interval(draws.mean(-1))
+    yield claim(SPEC, "8", text, EKF_MEAN_M, mean, within(mean, EKF_MEAN_M, relative=0.06), interval)
     cost = float(dropouts.rmse().mean()) / mean
     text = "sensor 2 at 90 % is slightly worse: mean range RMSE over that at 100 %, between 1.03 and 1.08"
-    yield claim("5, 8", text, "slightly worse (1.05)", cost, 1.03 <= cost <= 1.08)
+    yield claim(PAPER, "5", text, "slightly worse", cost, 1.03 <= cost <= 1.08)
     nees = float(clean.nees.mean())
     text = "the truth has no process noise, so the filter is too modest: mean NEES of 6 states, within 10 %"
-    yield claim("8", text, 3.7, nees, within(nees, 3.7, relative=0.1))
+    yield claim(SPEC, "8", text, 3.7, nees, within(nees, 3.7, relative=0.1))
 
 
 def _bound_claims() -> Iterator[dict[str, Any]]:
-    for text, paper, noise, available in (
+    for text, stated, noise, available in (
         ("two platforms, √q = 30 m/s²", BOUND_M, 30.0, 1.0),
         ("two platforms, q = 0", BOUND_NO_NOISE_M, 0.0, 1.0),
         ("platform 1 alone after the first scan, √q = 30 m/s²", BOUND_ONE_PLATFORM_M, 30.0, ONE_PLATFORM_SHARE),
     ):
         ours = range_bound(noise, np.array(available))[ROWS]
         text = f"posterior Cramér–Rao bound on range [m], {text}, each within 3 %"
-        yield claim("8", text, paper, ours, within(ours, paper, relative=0.03))
+        yield claim(SPEC, "8", text, stated, ours, within(ours, stated, relative=0.03))
 
 
 def _loss_claims(records: Mapping[str, Record]) -> Iterator[dict[str, Any]]:
-    for clutter, (paper, runs) in LOST_SHARES.items():
+    for clutter, (stated, runs) in LOST_SHARES.items():
         record = records[f"pdaf_{clutter}"]
         share, interval = lost_share(record)
         candidates = float(record.validated.mean())
         text = f"share of lost tracks at {candidates:.1f} validated returns per sensor: intervals meet"
-        yield claim("8", text, paper, share, agrees(record, paper, runs), interval)
+        yield claim(SPEC, "8", text, stated, share, agrees(record, stated, runs), interval)
         if clutter == 8:
             text = f"fewer than 5 % of the tracks are lost up to 9 validated returns ({candidates:.2f})"
-            yield claim("5", text, "< 0.05", share, share < 0.05, interval)
+            yield claim(PAPER, "5", text, "< 0.05", share, share < 0.05, interval)
     other = records["pdaf_8"]
     share = float(other.slipped.mean())
     text = "by the other criterion (own returns outside both gates three scans running) at most as many are lost"
     interval = wilson_interval(int(other.slipped.sum()), len(other.slipped))
-    yield claim("7", text, "no more", share, share <= lost_share(other)[0], interval)
+    yield claim(SPEC, "7", text, "no more", share, share <= lost_share(other)[0], interval)
     narrow = records["pdaf_narrow"]
     share, interval = lost_share(narrow)
     text = "a gate of 9.21 (99 %) loses about twice as many at 8 false returns: intervals meet"
-    yield claim("8", text, NARROW_GATE_SHARE[0], share, agrees(narrow, *NARROW_GATE_SHARE), interval)
+    yield claim(SPEC, "8", text, NARROW_GATE_SHARE[0], share, agrees(narrow, *NARROW_GATE_SHARE), interval)
 
 
 def _error_claims(records: Mapping[str, Record], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
@@ -140,41 +139,41 @@ def _error_claims(records: Mapping[str, Record], rng: np.random.Generator) -> It
     low, high = percentile_interval(draws)
     mean = float(rmse.mean())
     text = "PDAF at 8 false returns: mean over scans of the kept runs' range RMSE [m], within 12 %"
-    yield claim("8", text, KEPT_M, mean, within(mean, KEPT_M, relative=0.12), percentile_interval(draws.mean(-1)))
+    yield claim(SPEC, "8", text, KEPT_M, mean, within(mean, KEPT_M, relative=0.12), percentile_interval(draws.mean(-1)))
     at = [19, 39]
-    ours, paper = rmse[at], (KEPT_AT_20_M, KEPT_FINAL_M)
+    ours, stated = rmse[at], (KEPT_AT_20_M, KEPT_FINAL_M)
     text = "the same at scans 20 and 40 [m], within 15 %"
-    yield claim("8", text, paper, ours, within(ours, paper, relative=0.15), (low[at], high[at]))
+    yield claim(SPEC, "8", text, stated, ours, within(ours, stated, relative=0.15), (low[at], high[at]))
     ratio = mean / float(clean.rmse().mean())
     text = "satisfactory in dense clutter: mean range RMSE over that without clutter, below 3"
-    yield claim("5, 8", text, "satisfactory (2 to 3)", ratio, ratio < 3.0)
+    yield claim(PAPER, "5", text, "satisfactory", ratio, ratio < 3.0)
     text = "more accurate when near: RMSE at scan 40 below a third of that at scan 20"
-    yield claim("5", text, "better when near", rmse[39] / rmse[19], rmse[39] < rmse[19] / 3.0)
+    yield claim(PAPER, "5", text, "better when near", rmse[39] / rmse[19], rmse[39] < rmse[19] / 3.0)
 
 
 def _contrast_claims(records: Mapping[str, Record]) -> Iterator[dict[str, Any]]:
-    for clutter, (paper, runs) in NEAREST_SHARES.items():
+    for clutter, (stated, runs) in NEAREST_SHARES.items():
         record = records[f"nn_{clutter}"]
         share, interval = lost_share(record)
         text = f"nearest neighbour, {clutter} false returns per gate, share lost: intervals meet"
-        yield claim("8", text, paper, share, agrees(record, paper, runs), interval)
+        yield claim(SPEC, "8", text, stated, share, agrees(record, stated, runs), interval)
     sequential, pairs = records["sequential_8"], records["pdaf_8"]
     share, interval = lost_share(sequential)
     text = "sequential PDAF at 8 false returns loses no more: interval meets the pairwise one's"
     low, high = lost_share(pairs)[1]
-    yield claim("8", text, SEQUENTIAL_SHARE, share, low <= interval[1] and interval[0] <= high, interval)
+    yield claim(SPEC, "8", text, SEQUENTIAL_SHARE, share, low <= interval[1] and interval[0] <= high, interval)
     ratio = float(sequential.rmse().mean() / pairs.rmse().mean())
     text = "but its kept runs' mean range RMSE is larger: over the pairwise PDAF's, above 1"
-    yield claim("8", text, SEQUENTIAL_KEPT_M / KEPT_M, ratio, ratio > 1.0)
+    yield claim(SPEC, "8", text, SEQUENTIAL_KEPT_M / KEPT_M, ratio, ratio > 1.0)
     missing = records["pdaf_missing"]
     share, interval = lost_share(missing)
     text = "detection probability 0.9 at 8 false returns, share lost: intervals meet"
-    yield claim("8", text, MISSING_SHARE[0], share, agrees(missing, *MISSING_SHARE), interval)
-    for noise, (paper, runs) in LITTLE_NOISE_SHARES.items():
+    yield claim(SPEC, "8", text, MISSING_SHARE[0], share, agrees(missing, *MISSING_SHARE), interval)
+    for noise, (stated, runs) in LITTLE_NOISE_SHARES.items():
         record = records[f"pdaf_noise_{noise:g}"]
         share, interval = lost_share(record)
         text = f"√q = {noise:g} m/s² at 8 false returns, share lost: intervals meet"
-        yield claim("8", text, paper, share, agrees(record, paper, runs), interval)
+        yield claim(SPEC, "8", text, stated, share, agrees(record, stated, runs), interval)
 
 
 def _fixed_density_claims(records: Mapping[str, Record]) -> Iterator[dict[str, Any]]:
@@ -182,8 +181,8 @@ def _fixed_density_claims(records: Mapping[str, Record]) -> Iterator[dict[str, A
     ours = [lost_share(record)[0] for record in found]
     interval = tuple(np.array([lost_share(record)[1] for record in found]).T)
     text = "fixed density, 0.5, 1, 2, 3, 4 false returns per clean gate, share lost: all intervals meet"
-    paper = tuple(FIXED_SHARES.values())
-    met = all(agrees(record, share, FIXED_RUNS) for record, share in zip(found, paper, strict=True))
-    yield claim("8", text, paper, ours, met, interval)
+    stated = tuple(FIXED_SHARES.values())
+    met = all(agrees(record, share, FIXED_RUNS) for record, share in zip(found, stated, strict=True))
+    yield claim(SPEC, "8", text, stated, ours, met, interval)
     text = "fixed density is much harder: from 2 to 4 per gate the share lost rises above a half"
-    yield claim("8", text, "from 0.08 to 0.82", [ours[2], ours[4]], ours[2] < 0.12 and ours[4] > 0.5)
+    yield claim(SPEC, "8", text, "from 0.08 to 0.82", [ours[2], ours[4]], ours[2] < 0.12 and ours[4] > 0.5)

@@ -33,7 +33,7 @@ from agents.reproduction.radar_placement.scenario import (
     pair,
     ring,
 )
-from agents.reproduction.report import Paper, markdown_table, prepare, write_reproduction
+from agents.reproduction.report import PAPER, SPEC, Paper, markdown_table, prepare, write_reproduction
 from trackers.converted_episode import LINEARISATIONS
 
 __all__ = ["RADAR_PLACEMENT", "print_radar_placement", "reproduce_radar_placement", "run_trials"]
@@ -131,8 +131,8 @@ RADAR_PLACEMENT = Paper(
     "Where to put two radars (Yang et al. 1998)",
     reproduce_radar_placement,
     _sections,
-    (
-        "Those that begin with 'paper' are the paper's own sections; the others are the specification's, "
-        "whose numbers are computed."
-    ),
+    {
+        PAPER: "Sentences of sections 3 and 5; their only numbers are angles, and 70 and 50 % of one radar's error.",
+        SPEC: "The specification's own theory, and its Monte Carlo of 50 to 3000 runs.",
+    },
 )

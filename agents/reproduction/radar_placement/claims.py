@@ -1,4 +1,4 @@
-"""What the paper and its specification (sections 3 to 10) claim, beside what we find."""
+"""What the paper (sections 3 and 5) and its specification (sections 5 to 10) claim, beside what we find."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from agents.reproduction.radar_placement.scenario import (
     ring,
     straight_path,
 )
-from agents.reproduction.report import claim, within
+from agents.reproduction.report import PAPER, SPEC, claim, within
 from agents.reproduction.resampling import Interval, bootstrap_means, percentile_interval
 from trackers import ConvertedFusion, Layout
 from trackers.converted_measurement import moments
@@ -108,17 +108,17 @@ def all_claims(trials: Trials, rng: np.random.Generator) -> list[dict[str, Any]]
 
 def _theory_claims() -> Iterator[dict[str, Any]]:
     for name, rows in THEORY.items():
-        (azimuth, elevation), paper = np.array([place for place, _ in rows]).T, [ratio for _, ratio in rows]
+        (azimuth, elevation), stated = np.array([place for place, _ in rows]).T, [ratio for _, ratio in rows]
         ours = error_ratio(pair(azimuth, elevation))
-        yield claim("7", f"theory, {name}: error over one radar's, within 0.01", paper, ours,
-                    within(ours, paper, absolute=0.01))  # fmt: skip
+        yield claim(SPEC, "7", f"theory, {name}: error over one radar's, within 0.01", stated, ours,
+                    within(ours, stated, absolute=0.01))  # fmt: skip
     single = float(position_error(ring([0.0])))
-    yield claim("7", "theory, one radar: error after 50 scans [m], within 1 %", 1286.0, single,
+    yield claim(SPEC, "7", "theory, one radar: error after 50 scans [m], within 1 %", 1286.0, single,
                 within(single, 1286.0, relative=0.01))  # fmt: skip
-    for place, paper in PRINTED.items():
+    for place, stated in PRINTED.items():
         ours = matrix_error(pair(*place), printed=True) / matrix_error(ring([0.0]), printed=True)
         text = f"theory with R33 as printed, θ12 = {place[0]:g}°, β12 = {place[1]:g}°: ratio within 0.01"
-        yield claim("7", text, paper, ours, within(ours, paper, absolute=0.01))
+        yield claim(SPEC, "7", text, stated, ours, within(ours, stated, absolute=0.01))
 
 
 def ratio_interval(record: Record, single: Record, seeds: int, rng: np.random.Generator) -> Interval:
@@ -136,47 +136,49 @@ def fifty_runs(record: Record, single: Record, rng: np.random.Generator, level: 
 
 def _monte_carlo_claims(trials: Trials, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     single = trials.pairs[SINGLE]
-    for name, paper in MONTE_CARLO.items():
+    for name, stated in MONTE_CARLO.items():
         record = trials.pairs[name]
         ours, few = record.rmse() / single.rmse(), fifty_runs(record, single, rng)
         text = (
             f"Monte Carlo, {name}: RMSE over one radar's, last {LAST} scans; the specification's 50 runs lie "
             f"where 99 % of 50 of ours do, {few.low:.2f} to {few.high:.2f}"
         )
-        inside = bool(few.low - 0.005 <= paper <= few.high + 0.005)
-        yield claim("7", text, paper, ours, inside, ratio_interval(record, single, trials.seeds, rng))
+        inside = bool(few.low - 0.005 <= stated <= few.high + 0.005)
+        yield claim(SPEC, "7", text, stated, ours, inside, ratio_interval(record, single, trials.seeds, rng))
 
 
 def _sentence_claims() -> Iterator[dict[str, Any]]:
     angles = np.arange(0.0, 181.0)
     curve = error_ratio(pair(angles))
     text = "co-located radars: about 70 % of one radar's error, within 0.02"
-    yield claim("paper 3.1", text, 0.70, curve[0], within(curve[0], 0.70, absolute=0.02))
-    yield claim("paper 3.1", "at 90°: about 50 %, within 0.02", 0.50, curve[90], within(curve[90], 0.50, absolute=0.02))
+    yield claim(PAPER, "3.1", text, 0.70, curve[0], within(curve[0], 0.70, absolute=0.02))
+    text = "at 90°: about 50 %, within 0.02"
+    yield claim(PAPER, "3.1", text, 0.50, curve[90], within(curve[90], 0.50, absolute=0.02))
     flat = curve[11:91]
-    text = "beyond 10° little changes: all ratios to 90° within 0.02 of that at 10°"
-    yield claim("paper 3.1", text, curve[10], [flat.min(), flat.max()], within(flat, curve[10], absolute=0.02))
+    text = "beyond 10° little changes: ratio at 10°, least and largest beyond it to 90°, all within 0.02 of the first"
+    ours = [curve[10], flat.min(), flat.max()]
+    yield claim(PAPER, "3.1", text, "little", ours, within(flat, curve[10], absolute=0.02))
     best = int(curve[:91].argmin())
     text = "the larger the angle up to 90° the smaller the error: angle of the smallest [deg]"
-    yield claim("paper 3.1", text, 90, best, best == 90)
+    yield claim(PAPER, "3.1", text, 90, best, best == 90)
     text = "the smallest error, 0.505, lies between 20 and 40°"
-    yield claim("7", text, 0.505, curve.min(), 20 <= best <= 40 and within(curve.min(), 0.505, absolute=0.01))
+    yield claim(SPEC, "7", text, 0.505, curve.min(), 20 <= best <= 40 and within(curve.min(), 0.505, absolute=0.01))
     high = error_ratio(pair(0.0, [10.0, 45.0]))
     text = "β12 helps, and beyond 10° little more: ratios at 10 and 45° below 0.55, within 0.02"
-    yield claim("paper 3.2", text, "little", high, bool(high.max() < 0.55 and high[0] - high[1] < 0.02))
+    yield claim(PAPER, "3.2", text, "little", high, bool(high.max() < 0.55 and high[0] - high[1] < 0.02))
     both = error_ratio(pair([20.0, 20.0], [0.0, 20.0]))
     text = "opening both angles does not help: ratio at θ12 = 20° without and with β12 = 20°"
-    yield claim("paper 3.2", text, "no help", both, bool(both[1] >= both[0] - 0.002))
+    yield claim(PAPER, "3.2", text, "no help", both, bool(both[1] >= both[0] - 0.002))
     largest = error_ratio(pair([45.0, 45.0], [0.0, 30.0]))
     text = "opening both too far even harms: ratio at θ12 = 45° without and with β12 = 30°"
-    yield claim("paper 5", text, "worse", largest, bool(largest[1] > largest[0]))
+    yield claim(PAPER, "5", text, "worse", largest, bool(largest[1] > largest[0]))
     closer = [float(position_error(ring([0.0, 20.0], distance_m=d))) for d in (DISTANCE_M, 0.8 * DISTANCE_M)]
     text = "closer is better: error of the 20° pair at 200 and 160 km [m]"
-    yield claim("paper 5", text, "falls", closer, closer[1] < closer[0])
+    yield claim(PAPER, "5", text, "falls", closer, closer[1] < closer[0])
     height = position_error(ring([[0.0]] * 3, np.array([[0.0], [10e3], [20e3]])))
-    paper = (1286.0, 1285.0, 1286.0)
+    stated = (1286.0, 1285.0, 1286.0)
     text = "a single radar's height, 0, 10 or 20 km, does not matter: error [m], within 0.2 %"
-    yield claim("5.9", text, paper, height, within(height, paper, relative=0.002))
+    yield claim(SPEC, "5.9", text, stated, height, within(height, stated, relative=0.002))
 
 
 # -- sections 3, 4, 5 and 8 -------------------------------------------------------------------------------------------
@@ -186,35 +188,35 @@ ONE_DEGREE = np.array([50.0, *np.deg2rad([1.0, 1.0])])
 
 def _correction_claims() -> Iterator[dict[str, Any]]:
     look = np.array([200e3 * math.cos(math.radians(17.0)), 0.0, 200e3 * math.sin(math.radians(17.0))])
-    for elevation, paper in ((1.0, 0.19), (3.0, -0.56)):
+    for elevation, stated in ((1.0, 0.19), (3.0, -0.56)):
         std = np.array([50.0, *np.deg2rad([1.0, elevation])])
         off = float(printed_r33(look, np.zeros(3), std) / moments(look, np.zeros(3), std).cov[2, 2] - 1.0)
         text = f"R33 as printed at β = 17°, σ of 1° in azimuth, {elevation:g}° in elevation: its error, within 0.02"
-        yield claim("5.2", text, paper, off, within(off, paper, absolute=0.02))
+        yield claim(SPEC, "5.2", text, stated, off, within(off, stated, absolute=0.02))
     flat, slant = [], []
     for beta in np.deg2rad([0.0, 20.0, 45.0]):
         level = np.array([DISTANCE_M, 0.0, DISTANCE_M * math.tan(beta)])
         steep = DISTANCE_M * np.array([math.cos(beta), 0.0, math.sin(beta)])
         for places, at in ((flat, level), (slant, steep)):
             places.append(float(np.sqrt(np.trace(moments(at, np.zeros(3), ONE_DEGREE).cov))))
-    for where, found, paper in (
+    for where, found, stated in (
         ("horizontal distance", flat, (4936, 5097, 6045)),
         ("slant range", slant, (4936, 4790, 4275)),
     ):
         text = f"√tr R at elevations of 0, 20, 45° and a fixed {where} [m], within 0.1 %"
-        yield claim("5.9", text, paper, found, within(found, paper, relative=0.001))
-    for unit, scale, paper in (("m", 1.0, (0.96, 0.69)), ("km", 1e6, (0.71, 0.52))):
+        yield claim(SPEC, "5.9", text, stated, found, within(found, stated, relative=0.001))
+    for unit, scale, stated in (("m", 1.0, (0.96, 0.69)), ("km", 1e6, (0.71, 0.52))):
         start = 10.0 * scale * np.eye(6)
         single = matrix_error(ring([0.0]), start)
         ours = [matrix_error(pair(angle), start) / single for angle in (0.0, 90.0)]
         text = f"P0 = diag(10) read in {unit}² and ({unit}/s)²: ratio co-located and at 90°, within 0.02"
-        yield claim("5.6", text, paper, ours, within(ours, paper, absolute=0.02))
+        yield claim(SPEC, "5.6", text, stated, ours, within(ours, stated, absolute=0.02))
     apart = [2.0 * DISTANCE_M * math.sin(math.radians(0.5 * angle)) / 1e3 for angle in (10.0, 20.0, 90.0)]
     text = "θ12 of 10, 20, 90° at the target sets radars apart by [km], within 1"
-    yield claim("5.8", text, (35, 69, 283), apart, within(apart, (35, 69, 283), absolute=1.0))
+    yield claim(SPEC, "5.8", text, (35, 69, 283), apart, within(apart, (35, 69, 283), absolute=1.0))
     heights = [float(raised(angle)) / 1e3 for angle in (10.0, 20.0)]
     text = "β12 of 10 and 20° needs a radar at a height of [km], within 1"
-    yield claim("5.8", text, (35, 72), heights, within(heights, (35, 72), absolute=1.0))
+    yield claim(SPEC, "5.8", text, (35, 72), heights, within(heights, (35, 72), absolute=1.0))
     yield from _floor_claims()
 
 
@@ -225,10 +227,10 @@ def _floor_claims() -> Iterator[dict[str, Any]]:
     covs = moments(straight_path()[0, :3], layout.position, layout.std).cov
     fused = float(np.sqrt(np.trace(np.linalg.inv(np.linalg.inv(covs).sum(0)))))
     text = "floor of two equal radars' single scan r σ/√2, and that of a pair at 90° [m], within 0.2 %"
-    yield claim("8", text, (2471, 2473), (floor, fused), within((floor, fused), (2471, 2473), relative=0.002))
+    yield claim(SPEC, "8", text, (2471, 2473), (floor, fused), within((floor, fused), (2471, 2473), relative=0.002))
     everywhere = error_ratio(pair(*np.meshgrid(np.arange(0.0, 181.0, 5.0), np.arange(0.0, 46.0, 5.0))))
     text = "one half of a single radar's error is a hard floor: smallest ratio of any θ12 and β12, at least 0.5"
-    yield claim("8", text, 0.5, everywhere.min(), bool(everywhere.min() >= 0.5))
+    yield claim(SPEC, "8", text, 0.5, everywhere.min(), bool(everywhere.min() >= 0.5))
 
 
 # -- section 9 --------------------------------------------------------------------------------------------------------
@@ -249,37 +251,37 @@ def _linearisation_claims(trials: Trials, rng: np.random.Generator) -> Iterator[
     theory = [float(tracker.theoretical(straight_path(), STUDIED[n]).position_std_m[-LAST:].mean()) for n in names]
     stated = list(THEORY_M.values())
     text = f"theory, mean of the last {LAST} scans, {', '.join(names)} [m], within 1 %"
-    yield claim("9", text, stated, theory, within(theory, stated, relative=0.01))
-    for linearisation, (paper, (low, high)) in SECTION_9.items():
+    yield claim(SPEC, "9", text, stated, theory, within(theory, stated, relative=0.01))
+    for linearisation, (stated, (low, high)) in SECTION_9.items():
         records = [trials.studied[name, linearisation] for name in names]
         ours = [record.rmse() for record in records]
         ends = [rmse_interval(record, trials.seeds, rng) for record in records]
         text = f"evaluated at: {linearisation}. RMSE of {', '.join(names)} [m], each within 6 %"
-        yield claim("9", text, paper, ours, within(ours, paper, relative=0.06), _ends(ends))
+        yield claim(SPEC, "9", text, stated, ours, within(ours, stated, relative=0.06), _ends(ends))
         ours = [float(record.nees.mean()) for record in records]
         ends = [nees_interval(record, trials.seeds, rng) for record in records]
         text = f"evaluated at: {linearisation}. NEES of {', '.join(names)}, {low:g} to {high:g} within 0.6 or 6 %"
         slack = [max(0.6, 0.06 * end) for end in (low, high)]
         inside = all(low - slack[0] <= nees <= high + slack[1] for nees in ours)
-        yield claim("9", text, (low, high), ours, inside, _ends(ends))
+        yield claim(SPEC, "9", text, (low, high), ours, inside, _ends(ends))
     oracle = trials.studied[ROUND, "truth"]
     local = trials.studied[ROUND, "local"]
     ratio, ends = local.rmse() / oracle.rmse(), ratio_interval(local, oracle, trials.seeds, rng)
     text = f"three radars all round, {ROUND}: the prediction costs 26 % over the oracle, within 6 points"
-    yield claim("9", text, 1.0 + ROUND_LOSS, ratio, within(ratio, 1.0 + ROUND_LOSS, absolute=0.06), ends)
+    yield claim(SPEC, "9", text, 1.0 + ROUND_LOSS, ratio, within(ratio, 1.0 + ROUND_LOSS, absolute=0.06), ends)
     for linearisation in ("fused", "iterated"):
         record = trials.studied[ROUND, linearisation]
         ratio, ends = record.rmse() / oracle.rmse(), ratio_interval(record, oracle, trials.seeds, rng)
         text = f"feedback recovers it, linearisation {linearisation}: RMSE over the oracle's, below local's"
-        yield claim("9", text, "headroom", ratio, record.rmse() < local.rmse(), ends)
+        yield claim(SPEC, "9", text, "headroom", ratio, record.rmse() < local.rmse(), ends)
     squares = trials.pairs[SINGLE].squares()
     scatter = float(squares.std() / squares.mean() / 2.0 / math.sqrt(MONTE_CARLO_RUNS))
     text = "50 runs scatter by about 7 %: standard error of their RMSE, 0.05 to 0.09"
-    yield claim("9", text, 0.07, scatter, 0.05 <= scatter <= 0.09)
+    yield claim(SPEC, "9", text, 0.07, scatter, 0.05 <= scatter <= 0.09)
     raw = [float(nees.mean()) for nees in trials.raw_nees.values()]
     seen = ", ".join(trials.raw_nees)
     text = f"formulas for the truth evaluated at the measurement: NEES of {seen}, 40 to 70 within 6 %"
-    yield claim("9", text, (40, 70), raw, all(0.94 * 40.0 <= nees <= 1.06 * 70.0 for nees in raw))
+    yield claim(SPEC, "9", text, (40, 70), raw, all(0.94 * 40.0 <= nees <= 1.06 * 70.0 for nees in raw))
 
 
 def _ends(intervals: list[Interval]) -> tuple[np.ndarray, np.ndarray]:
@@ -316,18 +318,18 @@ UNEQUAL: dict[str, tuple[tuple[float, ...], tuple[float, float]]] = {
 
 
 def _headroom_claims() -> Iterator[dict[str, Any]]:
-    for name, (layout, paper) in FIXED_LAYOUTS.items():
+    for name, (layout, stated) in FIXED_LAYOUTS.items():
         ours = float(position_error(layout))
-        yield claim("10", f"{name}: error [m], within 2 %", paper, ours, within(ours, paper, relative=0.02))
-    for name, (n, sector, height, paper) in SEARCHES.items():
+        yield claim(SPEC, "10", f"{name}: error [m], within 2 %", stated, ours, within(ours, stated, relative=0.02))
+    for name, (n, sector, height, stated) in SEARCHES.items():
         ours = float(position_error(best_layout(n, sector, height)))
         text = f"best layout, {name}: error [m], within 3 %, or up to 10 % below: a search may find better"
-        yield claim("10", text, paper, ours, 0.9 * paper <= ours <= 1.03 * paper)
-    for name, (std, paper) in UNEQUAL.items():
+        yield claim(SPEC, "10", text, stated, ours, 0.9 * stated <= ours <= 1.03 * stated)
+    for name, (std, stated) in UNEQUAL.items():
         stacked = ring([0.0, 0.0], [0.0, 20e3], std)
         ours = [float(error_ratio(layout)) for layout in (pair(20.0, 0.0, std), stacked)]
         text = f"{name}: ratio of the 20° pair and of radars one above the other, within 0.01"
-        yield claim("10", text, paper, ours, within(ours, paper, absolute=0.01))
+        yield claim(SPEC, "10", text, stated, ours, within(ours, stated, absolute=0.01))
 
 
 def best_layout(n: int, sector_deg: float, height_m: float, std: tuple[float, ...] = EQUAL) -> Layout:
