@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import bootstrap
 
 from agents.outcomes import Outcomes, Record, nees_scale
+from agents.reproduction.resampling import wilson_interval
 
 BASELINES = (
     "paper",
@@ -84,8 +85,8 @@ def figures_of(flown: Outcomes) -> dict[str, Any]:
 
 def _share(lost: np.ndarray) -> dict[str, Any]:
     """Share of lost tracks with its Wilson 95 % interval, each episode's tracks counting as one."""
-    interval = binomtest(round(float(lost.sum())), len(lost)).proportion_ci(method="wilson")
-    return {"lost_late_share": float(lost.mean()), "lost_late_ci95": [float(interval.low), float(interval.high)]}
+    interval = wilson_interval(round(float(lost.sum())), len(lost))
+    return {"lost_late_share": float(lost.mean()), "lost_late_ci95": list(interval)}
 
 
 def _statistics(values: np.ndarray) -> dict[str, float]:
