@@ -145,9 +145,9 @@ def _part(paper: Paper, folder: Path, runs: int | None, seeds: Sequence[int]) ->
     except Exception as error:  # whatever it is, the other papers shall be written
         traceback.print_exception(error, file=sys.stderr)
         return Part(paper, None, failure=f"{type(error).__name__}: {error}")
-    took = {"seconds": time.process_time() - begun[0], "elapsed": time.perf_counter() - begun[1]}
-    write_json(folder / FINISHED, {"key": key, **took, "files": _digests(folder)})
-    return Part(paper, _read(folder / RESULT), **took)
+    seconds, elapsed = time.process_time() - begun[0], time.perf_counter() - begun[1]
+    write_json(folder / FINISHED, {"key": key, "seconds": seconds, "elapsed": elapsed, "files": _digests(folder)})
+    return Part(paper, _read(folder / RESULT), seconds, elapsed)
 
 
 def _kept(paper: Paper, folder: Path, key: Mapping[str, Any]) -> Part | None:
