@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from agents.outcomes import Outcomes, Record, nees_scale
-from agents.reproduction.resampling import wilson_interval
+from agents.resampling import wilson_interval
 
 BASELINES = (
     "paper",

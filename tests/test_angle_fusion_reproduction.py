@@ -38,7 +38,7 @@ from agents.reproduction.angle_fusion.monte_carlo import (
     start_bound,
 )
 from agents.reproduction.report import VERDICTS
-from agents.reproduction.resampling import wilson_interval
+from agents.resampling import wilson_interval
 from passive_env.catalogue.angle_fusion import AngleFusion
 from trackers import AngleScan
 from trackers.direction import direction, gate

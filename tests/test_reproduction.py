@@ -15,7 +15,6 @@ from agents import files
 from agents.files import atomic_write, save_figure, write_json, write_text
 from agents.reproduction import print_report, reproduce_two_station
 from agents.reproduction.report import HEADS, ORIGINS, PAPER, SPEC, VERDICTS, claim, markdown_table, within, words
-from agents.reproduction.resampling import bootstrap_means, mean_interval
 from agents.reproduction.two_station.claims import SPECIFIED_BOUNDS_KM, prior_mean_error_km
 from agents.reproduction.two_station.monte_carlo import (
     BEARING_STD,
@@ -33,6 +32,7 @@ from agents.reproduction.two_station.monte_carlo import (
     table_1_errors,
     table_1_score,
 )
+from agents.resampling import bootstrap_means, mean_interval
 from passive_env.catalogue.two_station import BESTFIT, NATURAL, TwoStation
 from trackers import Scan
 from trackers.bounds import bound_prior, fisher_information

@@ -39,9 +39,9 @@ SHOWING = (
     "animation", "artists", "bound_gradient", "cli", "comparison", "curves", "earth_frame", "episode_arrays", "export",
     "layers", "main_job", "maneuvers", "mixture", "model_card", "pack", "page", "palette", "parallel",
     "parameter_sharing", "pettingzoo_env", "pictures", "placement_pictures", "provenance", "recording",
-    "recording_file", "registration", "replay", "replay_job", "replay_record", "report", "run_report", "stone_soup",
-    "svg", "team_vector_env", "torch_bound", "torch_carriers", "track", "track_files", "track_pictures", "track_sample",
-    "training", "tuning",
+    "recording_file", "registration", "replay", "replay_job", "replay_record", "report", "resampling", "run_report",
+    "stone_soup", "svg", "team_vector_env", "torch_bound", "torch_carriers", "track", "track_files", "track_pictures",
+    "track_sample", "training", "tuning",
 )  # fmt: skip
 """Modules that compare, draw, write, train and talk to others: no episode of an evaluation depends on them."""
 

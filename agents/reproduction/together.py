@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 import passive_env
 import trackers
+from agents import resampling
 from agents.files import make_folder, write_json, write_text
 from agents.page import as_page
 from agents.provenance import NUMERIC, processor_name, versions
@@ -173,11 +174,13 @@ def _digests(folder: Path) -> dict[str, str]:
 
 @functools.cache
 def code_digest() -> str:
-    """Digest of the sources that decide a reproduction: trackers, environments, this package but for this module."""
+    """Digest of the sources that decide a reproduction: trackers, environments, resampling, this package but for this
+    module."""
     digest, here = hashlib.sha256(), Path(__file__)
     for package in (Path(trackers.__file__).parent, Path(passive_env.__file__).parent, here.parent):
         for file in sorted(set(package.rglob("*.py")) - {here}):
             digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
+    digest.update(Path(resampling.__file__).read_bytes())
     return digest.hexdigest()[:12]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from agents.reproduction.angle_fusion.monte_carlo import Record, linear_range_error, range_bound
 from agents.reproduction.report import NOT_TESTABLE, PAPER, SPEC, claim, within
-from agents.reproduction.resampling import percentile_interval, wilson_interval
+from agents.resampling import percentile_interval, wilson_interval
 
 SCANS = (1, 5, 10, 20, 30, 40)
 ROWS = np.array(SCANS) - 1

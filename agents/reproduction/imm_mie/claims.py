@@ -23,7 +23,7 @@ from agents.reproduction.imm_mie.monte_carlo import (
     scans_in,
 )
 from agents.reproduction.report import PAPER, SPEC, claim, within
-from agents.reproduction.resampling import Interval, bootstrap_means, percentile_interval, wilson_interval
+from agents.resampling import Interval, bootstrap_means, percentile_interval, wilson_interval
 
 RMSE_M = {
     1: ((8.91, 13.53, 11.83, 11.77), (10.25, 14.51, 11.98, 11.38)),

@@ -24,7 +24,7 @@ from agents.reproduction.passive_radar.monte_carlo import (
     Sites,
 )
 from agents.reproduction.report import NOT_TESTABLE, PAPER, SPEC, claim, within
-from agents.reproduction.resampling import bootstrap_means, percentile_interval, wilson_interval
+from agents.resampling import bootstrap_means, percentile_interval, wilson_interval
 from trackers.ellipse_intersection import branch, intersect
 from trackers.range_sum import dilution, range_sum, range_sum_jacobian
 

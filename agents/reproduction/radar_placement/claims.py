@@ -25,7 +25,7 @@ from agents.reproduction.radar_placement.scenario import (
     straight_path,
 )
 from agents.reproduction.report import PAPER, SPEC, claim, within
-from agents.reproduction.resampling import Interval, bootstrap_means, percentile_interval
+from agents.resampling import Interval, bootstrap_means, percentile_interval
 from trackers import ConvertedFusion, Layout
 from trackers.converted_measurement import moments
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from agents.reproduction.report import PAPER, SPEC, Paper, markdown_table, prepare, write_reproduction
-from agents.reproduction.resampling import bootstrap_means, mean_interval
 from agents.reproduction.two_station.claims import SCORE_LIMITS, SPECIFIED_BOUNDS_KM, all_claims
 from agents.reproduction.two_station.monte_carlo import (
     READINGS,
@@ -28,6 +27,7 @@ from agents.reproduction.two_station.monte_carlo import (
     table_1_score,
 )
 from agents.reproduction.two_station.pictures import all_pictures
+from agents.resampling import bootstrap_means, mean_interval
 
 __all__ = ["READINGS", "TWO_STATION", "print_report", "reproduce_two_station", "table_1_errors", "table_1_score"]
 

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from agents.reproduction.report import NOT_TESTABLE, PAPER, SPEC, claim, within
-from agents.reproduction.resampling import mean_interval
 from agents.reproduction.two_station.monte_carlo import (
     BEARING_STD,
     BOUNDS,
@@ -30,6 +29,7 @@ from agents.reproduction.two_station.monte_carlo import (
     paper_paths,
     sight,
 )
+from agents.resampling import mean_interval
 from passive_env.catalogue.two_station import NATURAL
 from trackers.rp_ekf import subintervals
 from trackers.triangulation import RangeInterval, crossing_ranges, forward_interval, modulus_interval
