@@ -108,9 +108,17 @@ def _csv_row(section: str, environment: str, entry: Mapping[str, Any], policy: s
 # -- Markdown ----------------------------------------------------------------------------------------------------------
 
 
+_BOUND = (
+    "The bound is the least mean posterior Cramér–Rao bound at the end, shown where final errors are: a standard "
+    "deviation, which a mean error may undercut (of a Gaussian range it is 0.8 of it), for targets as restless as the "
+    "filter assumes, which drawn ones are not."
+)
+
+
 def as_markdown(data: Mapping[str, Any]) -> str:
     """The whole leaderboard; its first part is the short form."""
     parts = ["# Leaderboard", _head(data), "## In short", short_form(data), f"![Ratios to the best rule]({PICTURE})"]
+    parts += [_BOUND]
     parts += [*_learned_part(data), *_open_part(data), *_full_part(data), *_tracker_part(data), *_varied_part(data)]
     return "\n\n".join(parts)
 
@@ -250,9 +258,7 @@ def _full_part(data: Mapping[str, Any]) -> list[str]:
 def _full_note() -> str:
     return (
         "Errors in metres, means over targets; acceleration in m/s². Bound: mean posterior Cramér–Rao bound at the "
-        "end of the geometry that the policy flew; the row of that name shows the least. It is a standard deviation, "
-        "which a mean error may undercut (of a Gaussian range it is 0.8 of it), for targets as restless as the filter "
-        "assumes, which drawn ones are not. Lost: "
+        "end of the geometry that the policy flew; the row of that name shows the least. Lost: "
         "as the scenario's `lost_error_m` and `lost_nees` say, at the end; lost late: more than "
         f"{LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps; collapsed: more than "
         f"{COLLAPSE_M / 1e3:.0f} km off at the end, or with a NEES above its 99.99 % quantile."
