@@ -706,6 +706,7 @@ def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeyp
         assert (entry["confirmation"]["episodes"], entry["confirmation"]["seed"]) == (2 * EPISODES, SEED + EPISODES)
         assert entry["confirmation"]["policies"].keys() == {*names, "learned", "oracle"}
         assert entry["verdicts"] != before["verdicts"]
+    assert set(data["about"]["cells"]) == {"new"}
     assert f"--confirm {2 * EPISODES}" in data["about"]["command"]
     text = as_markdown(data)
     assert f"these ratios are of {2 * EPISODES} others" in text

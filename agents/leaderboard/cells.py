@@ -203,11 +203,12 @@ class Flown(NamedTuple):
         """Outcomes of one table's cells by the names of policies."""
         return {cell.contestant.name: self.outcomes[cell.digest] for cell in cells}
 
-    def joined(self, other: Flown) -> Flown:
-        """What became of both."""
-        return Flown(
-            self.outcomes | other.outcomes, self.states + other.states, self.differing | other.differing
-        )  # fmt: skip
+    def joined(self, further: Flown) -> Flown:
+        """What became of both; further cells are of other episodes on purpose, which makes none of them a changed one."""
+        states, differing = Counter(further.states), further.differing - {"episodes", "seed"}
+        if not differing:
+            states["new"] += states.pop("changed", 0)
+        return Flown(self.outcomes | further.outcomes, self.states + states, self.differing | differing)
 
     def __str__(self) -> str:
         others = f"flown anew, {', '.join(sorted(self.differing))} being others than in those kept so far"
