@@ -204,7 +204,7 @@ class Flown(NamedTuple):
         return {cell.contestant.name: self.outcomes[cell.digest] for cell in cells}
 
     def joined(self, further: Flown) -> Flown:
-        """What became of both; further cells are of other episodes on purpose, which makes none of them a changed one."""
+        """What became of both; further cells are of other episodes on purpose, which changes none."""
         states, differing = Counter(further.states), further.differing - {"episodes", "seed"}
         if not differing:
             states["new"] += states.pop("changed", 0)
