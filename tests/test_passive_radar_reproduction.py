@@ -33,7 +33,7 @@ from agents.reproduction.passive_radar.monte_carlo import (
     paper_maneuver,
     raised,
 )
-from agents.reproduction.report import VERDICTS
+from agents.reproduction.report import PAPER, VERDICTS
 from trackers.consistency import mean_band
 
 
@@ -195,10 +195,10 @@ def test_judged_by_interval_or_by_fifty_runs():
     """Exponential squares of mean 1e4: 100 m."""
     squares = 1e4 * np.random.default_rng(4).exponential(size=(400, 3))
     for paper, verdict in ((103.0, "reproduced"), (118.0, "reproduced"), (150.0, "not reproduced")):
-        found = judged("9", "x", paper, squares, rms_at((1,)), 4, np.random.default_rng(0))
+        found = judged(PAPER, "9", "x", paper, squares, rms_at((1,)), 4, np.random.default_rng(0))
         assert found["verdict"] == verdict
         assert found["interval"][0] < found["ours"] < found["interval"][1]
-    both = judged("9", "x", (100.0, 150.0), squares, rms_at((0, 2)), 4, np.random.default_rng(0))
+    both = judged(PAPER, "9", "x", (100.0, 150.0), squares, rms_at((0, 2)), 4, np.random.default_rng(0))
     assert both["verdict"] == "not reproduced"
     assert mean_rms(slice(0, 3))(squares.mean(0))[0] == pytest.approx(np.sqrt(squares.mean(0)).mean())
 
