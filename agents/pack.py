@@ -1,14 +1,18 @@
 """Packing a training run into one file without code, with a model card and the figures it reached.
 
 The packed policy is compared with the run's model action by action, flown beside the environment's rules and the greedy
-policy, and once more through the episodes of the record, which a test repeats.
+policy, and once more through the episodes of the record, which a test repeats. File, card and record are put in place
+together, when all of that is done.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -31,7 +35,8 @@ from agents.networks import describe
 from agents.outcomes import Record
 from agents.packed import is_packed, write_packed
 from agents.policy import make_policy, policy_names
-from agents.training import commit, training_seconds, versions
+from agents.provenance import commit, versions
+from agents.training import training_seconds
 from passive_env.catalogue import environment_id, make_scenario, scenario_name
 
 EPISODES, SEED = 1000, 90_000_000
@@ -52,7 +57,7 @@ def pack(
     run: Path, out: Path, evaluation: Path | None = None, episodes: int = EPISODES, seed: int = SEED,
     progress: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
-    """Pack a run: FILE.npz, its model card FILE.md and its record FILE.json.
+    """Pack a run: FILE.npz, its model card FILE.md and its record FILE.json; older ones stay if anything fails.
 
     Args:
         run: folder made by ``passive-env train``.
@@ -75,23 +80,47 @@ def pack(
     learned = LearnedPolicy(run, environment, scenario.make_simulation())
     summary = None if evaluation is None else _read_evaluation(evaluation, environment, fields)
     description = describe_run(run, config)
-    write_packed(out, *description)
-    packed = PackedPolicy(out, environment, scenario.make_simulation())
-    _check_same(out, scenario, packed, learned, seed)
-    if summary is None:
-        summary = _compared(name, scenario, packed, episodes, seed, progress)
-    record = {
-        "environment": environment,
-        "bytes": out.stat().st_size,
+    with _in_place_of(out) as draft:
+        write_packed(draft, *description)
+        packed = PackedPolicy(draft, environment, scenario.make_simulation())
+        _check_same(out, scenario, packed, learned, seed)
+        if summary is None:
+            summary = _compared(name, scenario, packed, episodes, seed, progress)
+        record = _record(draft, scenario, packed, summary, seed)
+        _write(draft, record, packed)
+    return record
+
+
+@contextmanager
+def _in_place_of(out: Path) -> Iterator[Path]:
+    """A file's name in a folder beside it: what is in that folder at the end replaces what is beside `out`.
+
+    If anything fails before, nothing does.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{out.stem}.", dir=out.parent) as folder:
+        yield Path(folder) / out.name
+        for file in sorted(Path(folder).iterdir()):
+            os.replace(file, out.parent / file.name)
+
+
+def _record(file: Path, scenario: Any, packed: PackedPolicy, summary: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """What is written of a packed policy as FILE.json."""
+    return {
+        "environment": packed.description["environment"],
+        "bytes": file.stat().st_size,
         "trained": {key: value for key, value in packed.description.items() if key not in ("scenario", "preset")},
         "recorded": recorded(fly(scenario, packed, RECORD_EPISODES, seed), seed, scenario),
         "comparison": _shortened(summary),
         "versions": versions(),
         "commit": commit(),
     }
-    write_json(out.with_suffix(".json"), record)
-    write_text(out.with_suffix(".md"), card_as_markdown(record, packed.description))
-    return record
+
+
+def _write(file: Path, record: Mapping[str, Any], packed: PackedPolicy) -> None:
+    """A packed policy's record and card beside its file."""
+    write_json(file.with_suffix(".json"), record)
+    write_text(file.with_suffix(".md"), card_as_markdown(record, packed.description))
 
 
 def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -418,6 +418,41 @@ def test_what_packing_leaves(run, file):
     assert kept["scenario"] == json.loads(json.dumps(run.scenario.to_dict()))
 
 
+def trio(file: Path) -> dict[str, bytes]:
+    """Contents of all that stands in a packed file's folder."""
+    return {path.name: path.read_bytes() for path in file.parent.iterdir()}
+
+
+FAILURES = {
+    "the commands differ": ("_check_same", ValueError("differ")),
+    "interrupted while flying": ("fly_all", KeyboardInterrupt()),
+    "no record": ("recorded", ValueError("no number")),
+    "no card": ("card_as_markdown", OSError("no space left")),
+}
+
+
+@pytest.mark.parametrize("case", FAILURES)
+def test_what_stood_there_stays_if_packing_fails(run, tmp_path, monkeypatch, case):
+    name, error = FAILURES[case]
+
+    def fail(*_: Any) -> None:
+        raise error
+
+    out = tmp_path / "policy.npz"
+    for suffix in (".npz", ".json", ".md"):
+        out.with_suffix(suffix).write_text(f"old {suffix}")
+    before = trio(out)
+    monkeypatch.setattr(f"agents.pack.{name}", fail)
+    with pytest.raises(type(error)):
+        pack(run.folder, out, episodes=2, seed=5, progress=False)
+    assert trio(out) == before
+    monkeypatch.undo()
+    pack(run.folder, out, episodes=2, seed=5, progress=False)
+    after = trio(out)
+    assert after.keys() == before.keys()
+    assert all(after[file] != before[file] for file in before)
+
+
 def test_a_card_can_take_the_runs_own_evaluation(run, tmp_path):
     out = tmp_path / "evaluation"
     words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(run.folder)]
