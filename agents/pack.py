@@ -8,6 +8,7 @@ together, when all of that is done.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import BASELINES, mean_interval, summarize
+from agents.comparison import BASELINES, figures_of, mean_interval, summarize
 from agents.evaluation import fly, fly_all
 from agents.files import write_json, write_text
 from agents.learned import (
@@ -52,6 +53,9 @@ LEARNED = "learned"
 SAME_WITHIN, COMPARED_STEPS = 1e-6, 64
 """A packed policy's commands are the model's to this, in every step of so many episodes."""
 
+FIGURES, FIGURES_WITHIN = ("mean", "median", "p95"), 1e-3
+"""Figures of every error that tell whose an evaluation is: the run's model reaches the same, to this share of them."""
+
 
 def pack(
     run: Path, out: Path, evaluation: Path | None = None, episodes: int = EPISODES, seed: int = SEED,
@@ -78,7 +82,7 @@ def pack(
     name = scenario_name(environment)
     scenario = make_scenario(name, fields)
     learned = LearnedPolicy(run, environment, scenario.make_simulation())
-    summary = None if evaluation is None else _read_evaluation(evaluation, environment, fields)
+    summary = None if evaluation is None else _take_evaluation(evaluation, environment, fields, scenario, learned)
     description = describe_run(run, config)
     with _in_place_of(out) as draft:
         write_packed(draft, *description)
@@ -203,6 +207,28 @@ def _compared(name: str, scenario: Any, packed: ActorPolicy, episodes: int, seed
     return summarize(environment_id(name), seed, fly_all(scenario, policies, episodes, seed, progress))
 
 
+def _take_evaluation(
+    file: Path, environment: str, fields: Mapping[str, Any], scenario: Any, learned: ActorPolicy
+) -> dict[str, Any]:
+    """An evaluation in a file, after the run's model has flown its episodes again.
+
+    Raises:
+        FileNotFoundError, ValueError: none, or of something else.
+    """
+    summary = _read_evaluation(file, environment, fields)
+    flown = fly(scenario, learned, summary["episodes"], summary["seed"])
+    said, found = summary["policies"][LEARNED], figures_of(flown.outcomes)
+    for error in flown.samples:
+        for figure in FIGURES:
+            value, ours = said.get(error, {}).get(figure), found[error][figure]
+            if value is None or not math.isclose(value, ours, rel_tol=FIGURES_WITHIN):
+                raise ValueError(
+                    f"--evaluation {file}: has {figure} {error} = {value} of {LEARNED!r}, this run's model {ours:g} on "
+                    "the same episodes: it is of another run, tracker or version; evaluate again or leave it out"
+                )
+    return summary
+
+
 def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     """The summary in an evaluation's file.
 
@@ -213,7 +239,8 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"--evaluation {file}: is no valid JSON ({error})") from error
-    if not isinstance(summary, dict) or not {"environment", "policies", "ratios", "score"} <= summary.keys():
+    needed = {"environment", "episodes", "seed", "policies", "ratios", "score"}
+    if not isinstance(summary, dict) or not needed <= summary.keys():
         raise ValueError(f"--evaluation {file}: must be an evaluation.json of train or evaluate, of one tracker")
     if (summary["environment"], summary.get("fields", {}), summary.get("flights")) != (environment, fields, None):
         raise ValueError(

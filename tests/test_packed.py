@@ -453,13 +453,34 @@ def test_what_stood_there_stays_if_packing_fails(run, tmp_path, monkeypatch, cas
     assert all(after[file] != before[file] for file in before)
 
 
-def test_a_card_can_take_the_runs_own_evaluation(run, tmp_path):
-    out = tmp_path / "evaluation"
-    words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(run.folder)]
+def evaluated(out: Path, policy: Path) -> Path:
+    """The evaluation of a run or of a packed file beside rules."""
+    words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(policy)]
     assert main([*words, "--episodes", "4", "--out", str(out)]) == 0
-    record = pack(run.folder, tmp_path / "p.npz", out / "evaluation.json", progress=False)
+    return out / "evaluation.json"
+
+
+@pytest.fixture(scope="module")
+def evaluation(run, tmp_path_factory):
+    return evaluated(tmp_path_factory.mktemp("evaluation"), run.folder)
+
+
+def test_a_card_can_take_the_runs_own_evaluation(run, evaluation, tmp_path):
+    record = pack(run.folder, tmp_path / "p.npz", evaluation, progress=False)
     assert (record["comparison"]["episodes"], record["comparison"]["seed"]) == (4, 30_000_000)
     assert "4 paired episodes from seed 30000000" in (tmp_path / "p.md").read_text()
+
+
+def test_a_card_does_not_take_another_runs_evaluation(run, file, evaluation, tmp_path):
+    """Of a policy whose weights are larger by a hundredth; and of other episodes than it says."""
+    description, arrays = read_packed(file)
+    larger = write_packed(tmp_path / "larger.npz", description, {name: 1.01 * array for name, array in arrays.items()})
+    moved = tmp_path / "moved.json"
+    moved.write_text(json.dumps(json.loads(evaluation.read_text()) | {"seed": 30_000_001}))
+    for other in (evaluated(tmp_path / "evaluation", larger), moved):
+        with pytest.raises(ValueError, match=r"_error_m = .* of 'learned', this run's model .*it is of another run"):
+            pack(run.folder, tmp_path / "p.npz", other, progress=False)
+    assert not (tmp_path / "p.npz").exists()
 
 
 def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
@@ -467,8 +488,10 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
     good = {
         "environment": "passive/Ownship-v0",
         "score": "range",
+        "episodes": 2,
+        "seed": 0,
         "policies": {"learned": {}, "rule": {}},
-        "ratios": {},
+        "ratios": {"rule": {}},
     }
     cases = {
         "is no valid JSON": "{",
@@ -476,6 +499,7 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
         "is of passive/TwoStation-v0": json.dumps(good | {"environment": "passive/TwoStation-v0"}),
         "flights held-out": json.dumps(good | {"flights": "held-out"}),
         "must have the policies 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
+        "= None of 'learned', this run's model": json.dumps(good),
     }
     for words, text in cases.items():
         evaluation.write_text(text)
