@@ -1,8 +1,8 @@
 """Packing a training run into one file without code, with a model card and the figures it reached.
 
-The packed policy is compared with the run's model action by action, flown beside the environment's rules and the greedy
-policy, and once more through the episodes of the record, which a test repeats. File, card and record are put in place
-together, when all of that is done.
+The packed policy is compared with the run's model action by action, flown beside the environment's fixed policies,
+rules and greedy ones, and once more through the episodes of the record, which a test repeats. File, card and record are
+put in place together, when all of that is done.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import BASELINES, figures_of, mean_interval, summarize
+from agents.comparison import figures_of, mean_interval, summarize
 from agents.evaluation import fly, fly_all
 from agents.files import write_json, write_text
+from agents.leaderboard.contestants import KIND_OF, known_policies
 from agents.learned import (
     MODEL,
     ActorPolicy,
@@ -35,10 +36,9 @@ from agents.model_card import card_as_markdown
 from agents.networks import describe
 from agents.outcomes import Record
 from agents.packed import is_packed, write_packed
-from agents.policy import make_policy, policy_names
 from agents.provenance import commit, versions
 from agents.training import training_seconds
-from passive_env.catalogue import environment_id, make_scenario, scenario_name
+from passive_env.catalogue import make_scenario, scenario_name
 
 EPISODES, SEED = 1000, 90_000_000
 """Of the comparison; far from the seeds of trainings and of what settings were chosen by."""
@@ -46,9 +46,9 @@ EPISODES, SEED = 1000, 90_000_000
 RECORD_EPISODES = 200
 """Episodes of the record, the comparison's first seeds."""
 
-SEARCHES = ("greedy", "planner", "optimizer")
-RULES = tuple(name for name in BASELINES if name not in SEARCHES)
 LEARNED = "learned"
+AGAINST = {"rule": ("fixed", "rule"), "greedy": ("greedy",)}
+"""Kinds whose strongest policy a card compares the learned one with, error by error, as the leaderboard does."""
 
 SAME_WITHIN, COMPARED_STEPS = 1e-6, 64
 """A packed policy's commands are the model's to this, in every step of so many episodes."""
@@ -79,8 +79,7 @@ def pack(
         raise ValueError(f"--episodes {episodes} --seed {seed}: must be at least 1 and not negative")
     config = read_config(run)
     environment, fields = config["environment"], config.get("fields", {})
-    name = scenario_name(environment)
-    scenario = make_scenario(name, fields)
+    scenario = make_scenario(scenario_name(environment), fields)
     learned = LearnedPolicy(run, environment, scenario.make_simulation())
     summary = None if evaluation is None else _take_evaluation(evaluation, environment, fields, scenario, learned)
     description = describe_run(run, config)
@@ -88,8 +87,7 @@ def pack(
         write_packed(draft, *description)
         packed = PackedPolicy(draft, environment, scenario.make_simulation())
         _check_same(out, scenario, packed, learned, seed)
-        if summary is None:
-            summary = _compared(name, scenario, packed, episodes, seed, progress)
+        summary = summary or _compare(environment, scenario, packed, episodes, seed, progress)
         record = _record(draft, scenario, packed, summary, seed)
         _write(draft, record, packed)
     return record
@@ -200,11 +198,37 @@ class Both:
         return self._different / max(self._decisions, 1)
 
 
-def _compared(name: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool) -> Any:
-    """Evaluation of the packed policy beside the rules and the greedy policy."""
-    beside = [known for known in policy_names(scenario) if known in RULES or known == "greedy"]
-    policies = {known: make_policy(known, scenario) for known in beside} | {LEARNED: packed}
-    return summarize(environment_id(name), seed, fly_all(scenario, policies, episodes, seed, progress))
+def _compare(
+    environment: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool
+) -> dict[str, Any]:
+    """Evaluation of the packed policy beside the strongest of those kinds in `AGAINST`, after all have been flown."""
+    kinds = {kind for each in AGAINST.values() for kind in each}
+    policies = {one.name: one.make(scenario) for one in known_policies(scenario) if one.kind in kinds}
+    records = fly_all(scenario, {**policies, LEARNED: packed}, episodes, seed, progress)
+    figures = {name: figures_of(record.outcomes) for name, record in records.items()}
+    best = _names(_strongest(figures, records[LEARNED].score))
+    return summarize(environment, seed, {name: records[name] for name in (*best, LEARNED)}, best)
+
+
+def _strongest(figures: Mapping[str, Any], score: str) -> dict[str, dict[str, str]]:
+    """The policy of least mean per error, at the end and on the time average, and per entry of `AGAINST`.
+
+    Args:
+        figures: policies', as of `agents.comparison.figures_of`.
+        score: the error that counts.
+    """
+    groups = {group: [name for name in figures if KIND_OF.get(name) in kinds] for group, kinds in AGAINST.items()}
+    return {
+        error: {
+            group: min(names, key=lambda name: figures[name][error]["mean"]) for group, names in groups.items() if names
+        }
+        for error in (f"final_{score}_error_m", f"mean_{score}_error_m")
+    }
+
+
+def _names(strongest: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Every policy among the strongest, once."""
+    return list(dict.fromkeys(name for each in strongest.values() for name in each.values()))
 
 
 def _take_evaluation(
@@ -247,22 +271,23 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
             f"--evaluation {file}: is of {summary['environment']} with fields {summary.get('fields')} and flights "
             f"{summary.get('flights')}, must be of {environment} with {dict(fields)}, as trained, and no flights"
         )
-    if LEARNED not in summary["policies"] or not any(rule in summary["policies"] for rule in RULES):
-        raise ValueError(f"--evaluation {file}: must have the policies {LEARNED!r} and one of {', '.join(RULES)}")
+    if LEARNED not in summary["policies"] or not any(
+        KIND_OF.get(name) in AGAINST["rule"] for name in summary["ratios"]
+    ):
+        raise ValueError(f"--evaluation {file}: must have the policy {LEARNED!r} and ratios to a rule")
     return summary
 
 
 def _shortened(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of an evaluation: the learned policy, the strongest rule, the greedy policy, ratios to these."""
+    """What is kept of an evaluation: the learned policy, the strongest it is compared with, ratios to these."""
     policies = summary["policies"]
-    final = f"final_{summary['score']}_error_m"
-    rule = min((name for name in RULES if name in policies), key=lambda name: policies[name][final]["mean"])
-    beside = [rule, *(name for name in ("greedy",) if name in policies)]
+    strongest = _strongest({name: policies[name] for name in summary["ratios"]}, summary["score"])
+    best = _names(strongest)
     return {
         "seed": summary["seed"],
         "episodes": summary["episodes"],
         "score": summary["score"],
-        "strongest_rule": rule,
-        "policies": {name: policies[name] for name in (*beside, LEARNED)},
-        "ratios": {name: summary["ratios"][name][LEARNED] for name in beside},
+        "strongest": strongest,
+        "policies": {name: policies[name] for name in (*best, LEARNED)},
+        "ratios": {name: summary["ratios"][name][LEARNED] for name in best},
     }

@@ -16,9 +16,10 @@ import torch
 
 from agents.actor import plain_actor
 from agents.cli import main
+from agents.leaderboard.contestants import KIND_OF
 from agents.learned import LearnedPolicy, PackedPolicy, open_policy
 from agents.networks import describe, rebuild
-from agents.pack import Both, pack
+from agents.pack import AGAINST, Both, _strongest, pack
 from agents.packed import LARGEST, MOST_BYTES, MOST_MEMBERS, read_packed, write_packed
 from agents.sb3 import Sb3VecEnv
 from agents.training import TRAINING, flown, new_model, plan, train, training_seconds
@@ -407,8 +408,12 @@ def test_what_packing_leaves(run, file):
     assert description["seconds"] == json.loads((run.folder / TRAINING).read_text())["seconds"] > 0.0
     assert "passive-env train --env passive/Ownship-v0 --algo ppo_scratch --seed 0 --timesteps 240 --envs 4" in card
     assert record["comparison"]["episodes"] == 8
-    assert record["comparison"]["strongest_rule"] in ("rule", "rule_average")
-    assert set(record["comparison"]["ratios"]) == {record["comparison"]["strongest_rule"], "greedy"}
+    compared = record["comparison"]
+    assert set(compared["strongest"]) == {"final_range_error_m", "mean_range_error_m"}
+    named = {(group, name) for each in compared["strongest"].values() for group, name in each.items()}
+    assert {group for group, _ in named} == set(AGAINST)
+    assert all(KIND_OF[name] in AGAINST[group] for group, name in named)
+    assert set(compared["ratios"]) == {name for _, name in named}
     kept = record["recorded"]
     assert (kept["seed"], kept["episodes"]) == (5, 200)
     for name, error in kept["errors"].items():
@@ -416,6 +421,22 @@ def test_what_packing_leaves(run, file):
         assert low < error["mean"] < high
         assert f"| {name}" in card
     assert kept["scenario"] == json.loads(json.dumps(run.scenario.to_dict()))
+
+
+def test_the_strongest_of_a_kind_is_what_the_leaderboard_calls_so():
+    """Error by error; fixed policies count with the rules, planners and learned ones do not."""
+    means = {
+        "planner": (1.0, 1.0), "timed": (2.0, 9.0), "greedy": (3.0, 8.0), "repeat": (4.0, 7.0), "rule": (5.0, 6.0),
+        "straight": (9.0, 5.0), "learned": (0.1, 0.1),
+    }  # fmt: skip
+    errors = ("final_range_error_m", "mean_range_error_m")
+    figures = {
+        name: {error: {"mean": mean} for error, mean in zip(errors, pair, strict=True)} for name, pair in means.items()
+    }
+    assert _strongest(figures, "range") == {
+        errors[0]: {"rule": "repeat", "greedy": "timed"}, errors[1]: {"rule": "straight", "greedy": "greedy"},
+    }  # fmt: skip
+    assert _strongest({name: figures[name] for name in ("planner", "rule")}, "range")[errors[0]] == {"rule": "rule"}
 
 
 def trio(file: Path) -> dict[str, bytes]:
@@ -487,9 +508,9 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
     evaluation = tmp_path / "evaluation.json"
     good = {
         "environment": "passive/Ownship-v0",
-        "score": "range",
         "episodes": 2,
         "seed": 0,
+        "score": "range",
         "policies": {"learned": {}, "rule": {}},
         "ratios": {"rule": {}},
     }
@@ -498,7 +519,8 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
         "must be an evaluation.json": "{}",
         "is of passive/TwoStation-v0": json.dumps(good | {"environment": "passive/TwoStation-v0"}),
         "flights held-out": json.dumps(good | {"flights": "held-out"}),
-        "must have the policies 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
+        "must have the policy 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
+        "and ratios to a rule": json.dumps(good | {"ratios": {"planner": {}}}),
         "= None of 'learned', this run's model": json.dumps(good),
     }
     for words, text in cases.items():
