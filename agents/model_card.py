@@ -130,7 +130,7 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
         markdown_table(["policy", "final mean", "p95", "time average", "lost", "µs/decision"], figures),
         markdown_table(["ratio of means, 95 % interval", "final", "time average"], ratios),
         f"What a test flies again: {kept['episodes']} episodes from seed {kept['seed']}, means with bootstrap 95 % "
-        "intervals:",
+        "intervals; the record beside this card also has the errors of every episode:",
         markdown_table(["error", "mean", "interval"], means),
     ]
 

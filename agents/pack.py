@@ -3,6 +3,9 @@
 The packed policy is compared with the run's model action by action, flown beside the environment's fixed policies,
 rules and greedy ones, and once more through the episodes of the record, which a test repeats. File, card and record are
 put in place together, when all of that is done.
+
+``python -m agents.pack FILE.npz …`` flies packed policies again: it writes their records and cards anew, and leaves the
+files as they are.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,7 +39,7 @@ from agents.learned import (
 from agents.model_card import card_as_markdown
 from agents.networks import describe
 from agents.outcomes import Record
-from agents.packed import is_packed, write_packed
+from agents.packed import is_packed, read_packed, write_packed
 from agents.provenance import commit, versions
 from agents.training import training_seconds
 from passive_env.catalogue import make_scenario, scenario_name
@@ -43,8 +47,8 @@ from passive_env.catalogue import make_scenario, scenario_name
 EPISODES, SEED = 1000, 90_000_000
 """Of the comparison; far from the seeds of trainings and of what settings were chosen by."""
 
-RECORD_EPISODES = 200
-"""Episodes of the record, the comparison's first seeds."""
+RECORD_EPISODES, DIGITS = 200, 4
+"""Episodes of the record, the comparison's first seeds, and the significant digits to which it keeps their errors."""
 
 LEARNED = "learned"
 AGAINST = {"rule": ("fixed", "rule"), "greedy": ("greedy",)}
@@ -89,6 +93,27 @@ def pack(
         _check_same(out, scenario, packed, learned, seed)
         summary = summary or _compare(environment, scenario, packed, episodes, seed, progress)
         record = _record(draft, scenario, packed, summary, seed)
+        _write(draft, record, packed)
+    return record
+
+
+def measure(file: Path, episodes: int = EPISODES, seed: int = SEED, progress: bool = True) -> dict[str, Any]:
+    """Fly a packed policy again: its card and its record are written anew, itself stays.
+
+    Args:
+        file: FILE.npz, made by `pack`.
+        episodes, seed, progress: as of `pack`.
+    Returns:
+        what is written as FILE.json.
+    Raises:
+        FileNotFoundError, ValueError: no packed policy, or one of another version of its environment.
+    """
+    description = read_packed(file).description
+    environment = description["environment"]
+    scenario = make_scenario(scenario_name(environment), description["fields"])
+    packed = PackedPolicy(file, environment, scenario.make_simulation())
+    record = _record(file, scenario, packed, _compare(environment, scenario, packed, episodes, seed, progress), seed)
+    with _in_place_of(file) as draft:
         _write(draft, record, packed)
     return record
 
@@ -143,17 +168,22 @@ def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
 
 
 def recorded(record: Record, seed: int, scenario: Any) -> dict[str, Any]:
-    """Figures of flown episodes by which they can be flown again and compared: means with bootstrap 95 % intervals."""
+    """Figures of flown episodes by which they can be flown again and compared.
+
+    Means with bootstrap 95 % intervals; and of every episode its final error and its time average, by name.
+    """
     errors = {
         name: {"mean": float(values.mean()), "ci95": mean_interval(values), "p95": float(np.percentile(values, 95.0))}
         for name, values in record.samples.items()
     }
+    each = {f"final_{record.score}_error_m": record.final, f"mean_{record.score}_error_m": record.mean}
     return {
         "seed": seed,
         "episodes": len(record.final),
         "score": record.score,
         "errors": errors,
         "lost_share": float(record.lost.mean()),
+        "each": {name: [float(f"{value:.{DIGITS}g}") for value in values] for name, values in each.items()},
         "scenario": scenario.to_dict(),
     }
 
@@ -291,3 +321,8 @@ def _shortened(summary: Mapping[str, Any]) -> dict[str, Any]:
         "policies": {name: policies[name] for name in (*best, LEARNED)},
         "ratios": {name: summary["ratios"][name][LEARNED] for name in best},
     }
+
+
+if __name__ == "__main__":
+    for packed_file in map(Path, sys.argv[1:]):
+        measure(packed_file)

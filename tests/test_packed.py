@@ -19,7 +19,7 @@ from agents.cli import main
 from agents.leaderboard.contestants import KIND_OF
 from agents.learned import LearnedPolicy, PackedPolicy, open_policy
 from agents.networks import describe, rebuild
-from agents.pack import AGAINST, Both, _strongest, pack
+from agents.pack import AGAINST, Both, _strongest, measure, pack
 from agents.packed import LARGEST, MOST_BYTES, MOST_MEMBERS, read_packed, write_packed
 from agents.sb3 import Sb3VecEnv
 from agents.training import TRAINING, flown, new_model, plan, train, training_seconds
@@ -416,6 +416,10 @@ def test_what_packing_leaves(run, file):
     assert set(compared["ratios"]) == {name for _, name in named}
     kept = record["recorded"]
     assert (kept["seed"], kept["episodes"]) == (5, 200)
+    for name, values in kept["each"].items():
+        assert len(values) == 200
+        assert np.mean(values) == pytest.approx(kept["errors"][name]["mean"], rel=1e-3)
+        assert f"{values[0]}" not in card
     for name, error in kept["errors"].items():
         low, high = error["ci95"]
         assert low < error["mean"] < high
@@ -472,6 +476,24 @@ def test_what_stood_there_stays_if_packing_fails(run, tmp_path, monkeypatch, cas
     after = trio(out)
     assert after.keys() == before.keys()
     assert all(after[file] != before[file] for file in before)
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    """A record but for what differs from one flight of the same to the next."""
+    for figures in record["comparison"]["policies"].values():
+        del figures["decision_time_us"]
+    return record
+
+
+def test_a_packed_file_is_measured_again_and_stays(file, tmp_path):
+    copy = tmp_path / "policy.npz"
+    copy.write_bytes(file.read_bytes())
+    time = copy.stat().st_mtime_ns
+    record = measure(copy, episodes=8, seed=5, progress=False)
+    assert (copy.read_bytes(), copy.stat().st_mtime_ns) == (file.read_bytes(), time)
+    assert trio(copy).keys() == {"policy.npz", "policy.json", "policy.md"}
+    assert json.loads(copy.with_suffix(".json").read_text()) == json.loads(json.dumps(record))
+    assert without_times(record) == without_times(json.loads(file.with_suffix(".json").read_text()))
 
 
 def evaluated(out: Path, policy: Path) -> Path:
