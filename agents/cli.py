@@ -160,8 +160,8 @@ class Pack:
     out: Path
     """FILE.npz."""
     evaluation: Path | None = None
-    """evaluation.json of this run beside rules, for the card; default: fly one now, of the rules and the greedy
-    policy."""
+    """evaluation.json of this run beside rules, for the card; the run's model flies its episodes again and must reach
+    the same. Default: fly one now, of fixed policies, rules and greedy ones."""
     episodes: int = 1000
     """Episodes of that evaluation."""
     seed: int = 90_000_000

@@ -14,6 +14,7 @@ from typing import Any
 from agents.files import write_text
 from agents.presets import flights_share, load_preset
 from agents.pretrained import pretrained_ids, read_record
+from agents.report import METRICS
 from agents.reproduction.report import markdown_table
 from passive_env.catalogue import scenario_name
 
@@ -53,10 +54,10 @@ def training_command(description: Mapping[str, Any]) -> str:
 
 
 def pretrained_table() -> str:
-    """One row per pretrained policy: size, final errors, and ratios of them to the strongest rule and to greedy."""
+    """One row per pretrained policy: size, errors, ratios to those of the strongest policies, by name."""
     return markdown_table(
-        ["environment", "kB", "error", "final mean", "p95", "time average", "lost", "strongest rule", "final / rule",
-         "time average / rule", "final / greedy"],
+        ["environment", "kB", "error", "final mean", "p95", "time average", "lost", "final / fixed or rule",
+         "time average / fixed or rule", "final / greedy", "time average / greedy"],
         [_row(read_record(environment)) for environment in pretrained_ids()],
     )  # fmt: skip
 
@@ -109,7 +110,11 @@ def _differences(then: Mapping[str, Any], now: Mapping[str, Any], within: str = 
 
 def _numbers(record: Mapping[str, Any]) -> list[str]:
     compared, kept = record["comparison"], record["recorded"]
-    score, rule = compared["score"], compared["strongest_rule"]
+    score = compared["score"]
+    strongest = (
+        f"{words} {' and '.join(compared['strongest'][f'{when}_{score}_error_m'].values())}"
+        for when, words in METRICS.items()
+    )
     figures = [[name, *_figures(each, score)] for name, each in compared["policies"].items()]
     ratios = [
         [f"learned / {name}", *(_ratio(each[f"{when}_{score}_error_m"]) for when in ("final", "mean"))]
@@ -120,11 +125,12 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
     ]
     return [
         f"{score.capitalize()} error in metres over {compared['episodes']} paired episodes from seed "
-        f"{compared['seed']}; {rule} is the strongest rule:",
+        f"{compared['seed']}; strongest fixed policy or rule, and greedy one, by the mean error: "
+        f"{', '.join(strongest)}:",
         markdown_table(["policy", "final mean", "p95", "time average", "lost", "µs/decision"], figures),
         markdown_table(["ratio of means, 95 % interval", "final", "time average"], ratios),
         f"What a test flies again: {kept['episodes']} episodes from seed {kept['seed']}, means with bootstrap 95 % "
-        "intervals:",
+        "intervals; the record beside this card also has the errors of every episode:",
         markdown_table(["error", "mean", "interval"], means),
     ]
 
@@ -165,14 +171,19 @@ def _ratio(ratio: Mapping[str, Any]) -> str:
 
 def _row(record: Mapping[str, Any]) -> list[str]:
     compared = record["comparison"]
-    rule, score = compared["strongest_rule"], compared["score"]
-    final, average = f"final_{score}_error_m", f"mean_{score}_error_m"
-    to_rule, to_greedy = compared["ratios"][rule], compared["ratios"].get("greedy")
+    score = compared["score"]
     return [
         f"`{record['environment']}`", f"{record['bytes'] / 1e3:.0f}", score,
-        *_figures(compared["policies"]["learned"], score)[:-1], rule, _ratio(to_rule[final]), _ratio(to_rule[average]),
-        "" if to_greedy is None else _ratio(to_greedy[final]),
+        *_figures(compared["policies"]["learned"], score)[:-1], *_against(compared, "rule"),
+        *_against(compared, "greedy"),
     ]  # fmt: skip
+
+
+def _against(compared: Mapping[str, Any], group: str) -> list[str]:
+    """Ratios of the final error and of the time average to those of the strongest of a group, and who that is."""
+    errors = [f"{when}_{compared['score']}_error_m" for when in METRICS]
+    names = {error: compared["strongest"][error][group] for error in errors}
+    return [f"{_ratio(compared['ratios'][name][error])} `{name}`" for error, name in names.items()]
 
 
 if __name__ == "__main__":

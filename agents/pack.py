@@ -1,21 +1,31 @@
 """Packing a training run into one file without code, with a model card and the figures it reached.
 
-The packed policy is compared with the run's model action by action, flown beside the environment's rules and the greedy
-policy, and once more through the episodes of the record, which a test repeats.
+The packed policy is compared with the run's model action by action, flown beside the environment's fixed policies,
+rules and greedy ones, and once more through the episodes of the record, which a test repeats. File, card and record are
+put in place together, when all of that is done.
+
+``python -m agents.pack FILE.npz …`` flies packed policies again: it writes their records and cards anew, and leaves the
+files as they are.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from agents.comparison import BASELINES, mean_interval, summarize
+from agents.comparison import figures_of, mean_interval, summarize
 from agents.evaluation import fly, fly_all
 from agents.files import write_json, write_text
+from agents.leaderboard.contestants import KIND_OF, known_policies
 from agents.learned import (
     MODEL,
     ActorPolicy,
@@ -29,30 +39,33 @@ from agents.learned import (
 from agents.model_card import card_as_markdown
 from agents.networks import describe
 from agents.outcomes import Record
-from agents.packed import is_packed, write_packed
-from agents.policy import make_policy, policy_names
-from agents.training import commit, training_seconds, versions
-from passive_env.catalogue import environment_id, make_scenario, scenario_name
+from agents.packed import is_packed, read_packed, write_packed
+from agents.provenance import commit, versions
+from agents.training import training_seconds
+from passive_env.catalogue import make_scenario, scenario_name
 
 EPISODES, SEED = 1000, 90_000_000
 """Of the comparison; far from the seeds of trainings and of what settings were chosen by."""
 
-RECORD_EPISODES = 200
-"""Episodes of the record, the comparison's first seeds."""
+RECORD_EPISODES, DIGITS = 200, 4
+"""Episodes of the record, the comparison's first seeds, and the significant digits to which it keeps their errors."""
 
-SEARCHES = ("greedy", "planner", "optimizer")
-RULES = tuple(name for name in BASELINES if name not in SEARCHES)
 LEARNED = "learned"
+AGAINST = {"rule": ("fixed", "rule"), "greedy": ("greedy",)}
+"""Kinds whose strongest policy a card compares the learned one with, error by error, as the leaderboard does."""
 
 SAME_WITHIN, COMPARED_STEPS = 1e-6, 64
 """A packed policy's commands are the model's to this, in every step of so many episodes."""
+
+FIGURES, FIGURES_WITHIN = ("mean", "median", "p95"), 1e-3
+"""Figures of every error that tell whose an evaluation is: the run's model reaches the same, to this share of them."""
 
 
 def pack(
     run: Path, out: Path, evaluation: Path | None = None, episodes: int = EPISODES, seed: int = SEED,
     progress: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
-    """Pack a run: FILE.npz, its model card FILE.md and its record FILE.json.
+    """Pack a run: FILE.npz, its model card FILE.md and its record FILE.json; older ones stay if anything fails.
 
     Args:
         run: folder made by ``passive-env train``.
@@ -70,28 +83,71 @@ def pack(
         raise ValueError(f"--episodes {episodes} --seed {seed}: must be at least 1 and not negative")
     config = read_config(run)
     environment, fields = config["environment"], config.get("fields", {})
-    name = scenario_name(environment)
-    scenario = make_scenario(name, fields)
+    scenario = make_scenario(scenario_name(environment), fields)
     learned = LearnedPolicy(run, environment, scenario.make_simulation())
-    summary = None if evaluation is None else _read_evaluation(evaluation, environment, fields)
+    summary = None if evaluation is None else _take_evaluation(evaluation, environment, fields, scenario, learned)
     description = describe_run(run, config)
-    write_packed(out, *description)
-    packed = PackedPolicy(out, environment, scenario.make_simulation())
-    _check_same(out, scenario, packed, learned, seed)
-    if summary is None:
-        summary = _compared(name, scenario, packed, episodes, seed, progress)
-    record = {
-        "environment": environment,
-        "bytes": out.stat().st_size,
+    with _in_place_of(out) as draft:
+        write_packed(draft, *description)
+        packed = PackedPolicy(draft, environment, scenario.make_simulation())
+        _check_same(out, scenario, packed, learned, seed)
+        summary = summary or _compare(environment, scenario, packed, episodes, seed, progress)
+        record = _record(draft, scenario, packed, summary, seed)
+        _write(draft, record, packed)
+    return record
+
+
+def measure(file: Path, episodes: int = EPISODES, seed: int = SEED, progress: bool = True) -> dict[str, Any]:
+    """Fly a packed policy again: its card and its record are written anew, itself stays.
+
+    Args:
+        file: FILE.npz, made by `pack`.
+        episodes, seed, progress: as of `pack`.
+    Returns:
+        what is written as FILE.json.
+    Raises:
+        FileNotFoundError, ValueError: no packed policy, or one of another version of its environment.
+    """
+    description = read_packed(file).description
+    environment = description["environment"]
+    scenario = make_scenario(scenario_name(environment), description["fields"])
+    packed = PackedPolicy(file, environment, scenario.make_simulation())
+    record = _record(file, scenario, packed, _compare(environment, scenario, packed, episodes, seed, progress), seed)
+    with _in_place_of(file) as draft:
+        _write(draft, record, packed)
+    return record
+
+
+@contextmanager
+def _in_place_of(out: Path) -> Iterator[Path]:
+    """A file's name in a folder beside it: what is in that folder at the end replaces what is beside `out`.
+
+    If anything fails before, nothing does.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{out.stem}.", dir=out.parent) as folder:
+        yield Path(folder) / out.name
+        for file in sorted(Path(folder).iterdir()):
+            os.replace(file, out.parent / file.name)
+
+
+def _record(file: Path, scenario: Any, packed: PackedPolicy, summary: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """What is written of a packed policy as FILE.json."""
+    return {
+        "environment": packed.description["environment"],
+        "bytes": file.stat().st_size,
         "trained": {key: value for key, value in packed.description.items() if key not in ("scenario", "preset")},
         "recorded": recorded(fly(scenario, packed, RECORD_EPISODES, seed), seed, scenario),
         "comparison": _shortened(summary),
         "versions": versions(),
         "commit": commit(),
     }
-    write_json(out.with_suffix(".json"), record)
-    write_text(out.with_suffix(".md"), card_as_markdown(record, packed.description))
-    return record
+
+
+def _write(file: Path, record: Mapping[str, Any], packed: PackedPolicy) -> None:
+    """A packed policy's record and card beside its file."""
+    write_json(file.with_suffix(".json"), record)
+    write_text(file.with_suffix(".md"), card_as_markdown(record, packed.description))
 
 
 def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -112,17 +168,22 @@ def describe_run(run: Path, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
 
 
 def recorded(record: Record, seed: int, scenario: Any) -> dict[str, Any]:
-    """Figures of flown episodes by which they can be flown again and compared: means with bootstrap 95 % intervals."""
+    """Figures of flown episodes by which they can be flown again and compared.
+
+    Means with bootstrap 95 % intervals; and of every episode its final error and its time average, by name.
+    """
     errors = {
         name: {"mean": float(values.mean()), "ci95": mean_interval(values), "p95": float(np.percentile(values, 95.0))}
         for name, values in record.samples.items()
     }
+    each = {f"final_{record.score}_error_m": record.final, f"mean_{record.score}_error_m": record.mean}
     return {
         "seed": seed,
         "episodes": len(record.final),
         "score": record.score,
         "errors": errors,
         "lost_share": float(record.lost.mean()),
+        "each": {name: [float(f"{value:.{DIGITS}g}") for value in values] for name, values in each.items()},
         "scenario": scenario.to_dict(),
     }
 
@@ -167,11 +228,59 @@ class Both:
         return self._different / max(self._decisions, 1)
 
 
-def _compared(name: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool) -> Any:
-    """Evaluation of the packed policy beside the rules and the greedy policy."""
-    beside = [known for known in policy_names(scenario) if known in RULES or known == "greedy"]
-    policies = {known: make_policy(known, scenario) for known in beside} | {LEARNED: packed}
-    return summarize(environment_id(name), seed, fly_all(scenario, policies, episodes, seed, progress))
+def _compare(
+    environment: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool
+) -> dict[str, Any]:
+    """Evaluation of the packed policy beside the strongest of those kinds in `AGAINST`, after all have been flown."""
+    kinds = {kind for each in AGAINST.values() for kind in each}
+    policies = {one.name: one.make(scenario) for one in known_policies(scenario) if one.kind in kinds}
+    records = fly_all(scenario, {**policies, LEARNED: packed}, episodes, seed, progress)
+    figures = {name: figures_of(record.outcomes) for name, record in records.items()}
+    best = _names(_strongest(figures, records[LEARNED].score))
+    return summarize(environment, seed, {name: records[name] for name in (*best, LEARNED)}, best)
+
+
+def _strongest(figures: Mapping[str, Any], score: str) -> dict[str, dict[str, str]]:
+    """The policy of least mean per error, at the end and on the time average, and per entry of `AGAINST`.
+
+    Args:
+        figures: policies', as of `agents.comparison.figures_of`.
+        score: the error that counts.
+    """
+    groups = {group: [name for name in figures if KIND_OF.get(name) in kinds] for group, kinds in AGAINST.items()}
+    return {
+        error: {
+            group: min(names, key=lambda name: figures[name][error]["mean"]) for group, names in groups.items() if names
+        }
+        for error in (f"final_{score}_error_m", f"mean_{score}_error_m")
+    }
+
+
+def _names(strongest: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Every policy among the strongest, once."""
+    return list(dict.fromkeys(name for each in strongest.values() for name in each.values()))
+
+
+def _take_evaluation(
+    file: Path, environment: str, fields: Mapping[str, Any], scenario: Any, learned: ActorPolicy
+) -> dict[str, Any]:
+    """An evaluation in a file, after the run's model has flown its episodes again.
+
+    Raises:
+        FileNotFoundError, ValueError: none, or of something else.
+    """
+    summary = _read_evaluation(file, environment, fields)
+    flown = fly(scenario, learned, summary["episodes"], summary["seed"])
+    said, found = summary["policies"][LEARNED], figures_of(flown.outcomes)
+    for error in flown.samples:
+        for figure in FIGURES:
+            value, ours = said.get(error, {}).get(figure), found[error][figure]
+            if value is None or not math.isclose(value, ours, rel_tol=FIGURES_WITHIN):
+                raise ValueError(
+                    f"--evaluation {file}: has {figure} {error} = {value} of {LEARNED!r}, this run's model {ours:g} on "
+                    "the same episodes: it is of another run, tracker or version; evaluate again or leave it out"
+                )
+    return summary
 
 
 def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,29 +293,36 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"--evaluation {file}: is no valid JSON ({error})") from error
-    if not isinstance(summary, dict) or not {"environment", "policies", "ratios", "score"} <= summary.keys():
+    needed = {"environment", "episodes", "seed", "policies", "ratios", "score"}
+    if not isinstance(summary, dict) or not needed <= summary.keys():
         raise ValueError(f"--evaluation {file}: must be an evaluation.json of train or evaluate, of one tracker")
     if (summary["environment"], summary.get("fields", {}), summary.get("flights")) != (environment, fields, None):
         raise ValueError(
             f"--evaluation {file}: is of {summary['environment']} with fields {summary.get('fields')} and flights "
             f"{summary.get('flights')}, must be of {environment} with {dict(fields)}, as trained, and no flights"
         )
-    if LEARNED not in summary["policies"] or not any(rule in summary["policies"] for rule in RULES):
-        raise ValueError(f"--evaluation {file}: must have the policies {LEARNED!r} and one of {', '.join(RULES)}")
+    if LEARNED not in summary["policies"] or not any(
+        KIND_OF.get(name) in AGAINST["rule"] for name in summary["ratios"]
+    ):
+        raise ValueError(f"--evaluation {file}: must have the policy {LEARNED!r} and ratios to a rule")
     return summary
 
 
 def _shortened(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of an evaluation: the learned policy, the strongest rule, the greedy policy, ratios to these."""
+    """What is kept of an evaluation: the learned policy, the strongest it is compared with, ratios to these."""
     policies = summary["policies"]
-    final = f"final_{summary['score']}_error_m"
-    rule = min((name for name in RULES if name in policies), key=lambda name: policies[name][final]["mean"])
-    beside = [rule, *(name for name in ("greedy",) if name in policies)]
+    strongest = _strongest({name: policies[name] for name in summary["ratios"]}, summary["score"])
+    best = _names(strongest)
     return {
         "seed": summary["seed"],
         "episodes": summary["episodes"],
         "score": summary["score"],
-        "strongest_rule": rule,
-        "policies": {name: policies[name] for name in (*beside, LEARNED)},
-        "ratios": {name: summary["ratios"][name][LEARNED] for name in beside},
+        "strongest": strongest,
+        "policies": {name: policies[name] for name in (*best, LEARNED)},
+        "ratios": {name: summary["ratios"][name][LEARNED] for name in best},
     }
+
+
+if __name__ == "__main__":
+    for packed_file in map(Path, sys.argv[1:]):
+        measure(packed_file)

@@ -16,9 +16,10 @@ import torch
 
 from agents.actor import plain_actor
 from agents.cli import main
+from agents.leaderboard.contestants import KIND_OF
 from agents.learned import LearnedPolicy, PackedPolicy, open_policy
 from agents.networks import describe, rebuild
-from agents.pack import Both, pack
+from agents.pack import AGAINST, Both, _strongest, measure, pack
 from agents.packed import LARGEST, MOST_BYTES, MOST_MEMBERS, read_packed, write_packed
 from agents.sb3 import Sb3VecEnv
 from agents.training import TRAINING, flown, new_model, plan, train, training_seconds
@@ -407,10 +408,18 @@ def test_what_packing_leaves(run, file):
     assert description["seconds"] == json.loads((run.folder / TRAINING).read_text())["seconds"] > 0.0
     assert "passive-env train --env passive/Ownship-v0 --algo ppo_scratch --seed 0 --timesteps 240 --envs 4" in card
     assert record["comparison"]["episodes"] == 8
-    assert record["comparison"]["strongest_rule"] in ("rule", "rule_average")
-    assert set(record["comparison"]["ratios"]) == {record["comparison"]["strongest_rule"], "greedy"}
+    compared = record["comparison"]
+    assert set(compared["strongest"]) == {"final_range_error_m", "mean_range_error_m"}
+    named = {(group, name) for each in compared["strongest"].values() for group, name in each.items()}
+    assert {group for group, _ in named} == set(AGAINST)
+    assert all(KIND_OF[name] in AGAINST[group] for group, name in named)
+    assert set(compared["ratios"]) == {name for _, name in named}
     kept = record["recorded"]
     assert (kept["seed"], kept["episodes"]) == (5, 200)
+    for name, values in kept["each"].items():
+        assert len(values) == 200
+        assert np.mean(values) == pytest.approx(kept["errors"][name]["mean"], rel=1e-3)
+        assert f"{values[0]}" not in card
     for name, error in kept["errors"].items():
         low, high = error["ci95"]
         assert low < error["mean"] < high
@@ -418,29 +427,123 @@ def test_what_packing_leaves(run, file):
     assert kept["scenario"] == json.loads(json.dumps(run.scenario.to_dict()))
 
 
-def test_a_card_can_take_the_runs_own_evaluation(run, tmp_path):
-    out = tmp_path / "evaluation"
-    words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(run.folder)]
+def test_the_strongest_of_a_kind_is_what_the_leaderboard_calls_so():
+    """Error by error; fixed policies count with the rules, planners and learned ones do not."""
+    means = {
+        "planner": (1.0, 1.0), "timed": (2.0, 9.0), "greedy": (3.0, 8.0), "repeat": (4.0, 7.0), "rule": (5.0, 6.0),
+        "straight": (9.0, 5.0), "learned": (0.1, 0.1),
+    }  # fmt: skip
+    errors = ("final_range_error_m", "mean_range_error_m")
+    figures = {
+        name: {error: {"mean": mean} for error, mean in zip(errors, pair, strict=True)} for name, pair in means.items()
+    }
+    assert _strongest(figures, "range") == {
+        errors[0]: {"rule": "repeat", "greedy": "timed"}, errors[1]: {"rule": "straight", "greedy": "greedy"},
+    }  # fmt: skip
+    assert _strongest({name: figures[name] for name in ("planner", "rule")}, "range")[errors[0]] == {"rule": "rule"}
+
+
+def trio(file: Path) -> dict[str, bytes]:
+    """Contents of all that stands in a packed file's folder."""
+    return {path.name: path.read_bytes() for path in file.parent.iterdir()}
+
+
+FAILURES = {
+    "the commands differ": ("_check_same", ValueError("differ")),
+    "interrupted while flying": ("fly_all", KeyboardInterrupt()),
+    "no record": ("recorded", ValueError("no number")),
+    "no card": ("card_as_markdown", OSError("no space left")),
+}
+
+
+@pytest.mark.parametrize("case", FAILURES)
+def test_what_stood_there_stays_if_packing_fails(run, tmp_path, monkeypatch, case):
+    name, error = FAILURES[case]
+
+    def fail(*_: Any) -> None:
+        raise error
+
+    out = tmp_path / "policy.npz"
+    for suffix in (".npz", ".json", ".md"):
+        out.with_suffix(suffix).write_text(f"old {suffix}")
+    before = trio(out)
+    monkeypatch.setattr(f"agents.pack.{name}", fail)
+    with pytest.raises(type(error)):
+        pack(run.folder, out, episodes=2, seed=5, progress=False)
+    assert trio(out) == before
+    monkeypatch.undo()
+    pack(run.folder, out, episodes=2, seed=5, progress=False)
+    after = trio(out)
+    assert after.keys() == before.keys()
+    assert all(after[file] != before[file] for file in before)
+
+
+def without_times(record: dict[str, Any]) -> dict[str, Any]:
+    """A record but for what differs from one flight of the same to the next."""
+    for figures in record["comparison"]["policies"].values():
+        del figures["decision_time_us"]
+    return record
+
+
+def test_a_packed_file_is_measured_again_and_stays(file, tmp_path):
+    copy = tmp_path / "policy.npz"
+    copy.write_bytes(file.read_bytes())
+    time = copy.stat().st_mtime_ns
+    record = measure(copy, episodes=8, seed=5, progress=False)
+    assert (copy.read_bytes(), copy.stat().st_mtime_ns) == (file.read_bytes(), time)
+    assert trio(copy).keys() == {"policy.npz", "policy.json", "policy.md"}
+    assert json.loads(copy.with_suffix(".json").read_text()) == json.loads(json.dumps(record))
+    assert without_times(record) == without_times(json.loads(file.with_suffix(".json").read_text()))
+
+
+def evaluated(out: Path, policy: Path) -> Path:
+    """The evaluation of a run or of a packed file beside rules."""
+    words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(policy)]
     assert main([*words, "--episodes", "4", "--out", str(out)]) == 0
-    record = pack(run.folder, tmp_path / "p.npz", out / "evaluation.json", progress=False)
+    return out / "evaluation.json"
+
+
+@pytest.fixture(scope="module")
+def evaluation(run, tmp_path_factory):
+    return evaluated(tmp_path_factory.mktemp("evaluation"), run.folder)
+
+
+def test_a_card_can_take_the_runs_own_evaluation(run, evaluation, tmp_path):
+    record = pack(run.folder, tmp_path / "p.npz", evaluation, progress=False)
     assert (record["comparison"]["episodes"], record["comparison"]["seed"]) == (4, 30_000_000)
     assert "4 paired episodes from seed 30000000" in (tmp_path / "p.md").read_text()
+
+
+def test_a_card_does_not_take_another_runs_evaluation(run, file, evaluation, tmp_path):
+    """Of a policy whose weights are larger by a hundredth; and of other episodes than it says."""
+    description, arrays = read_packed(file)
+    larger = write_packed(tmp_path / "larger.npz", description, {name: 1.01 * array for name, array in arrays.items()})
+    moved = tmp_path / "moved.json"
+    moved.write_text(json.dumps(json.loads(evaluation.read_text()) | {"seed": 30_000_001}))
+    for other in (evaluated(tmp_path / "evaluation", larger), moved):
+        with pytest.raises(ValueError, match=r"_error_m = .* of 'learned', this run's model .*it is of another run"):
+            pack(run.folder, tmp_path / "p.npz", other, progress=False)
+    assert not (tmp_path / "p.npz").exists()
 
 
 def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
     evaluation = tmp_path / "evaluation.json"
     good = {
         "environment": "passive/Ownship-v0",
+        "episodes": 2,
+        "seed": 0,
         "score": "range",
         "policies": {"learned": {}, "rule": {}},
-        "ratios": {},
+        "ratios": {"rule": {}},
     }
     cases = {
         "is no valid JSON": "{",
         "must be an evaluation.json": "{}",
         "is of passive/TwoStation-v0": json.dumps(good | {"environment": "passive/TwoStation-v0"}),
         "flights held-out": json.dumps(good | {"flights": "held-out"}),
-        "must have the policies 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
+        "must have the policy 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
+        "and ratios to a rule": json.dumps(good | {"ratios": {"planner": {}}}),
+        "= None of 'learned', this run's model": json.dumps(good),
     }
     for words, text in cases.items():
         evaluation.write_text(text)
