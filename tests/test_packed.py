@@ -6,6 +6,7 @@ import io
 import json
 import os
 import struct
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -291,8 +292,11 @@ def test_a_bomb_is_refused_before_it_unpacks(tmp_path):
         read_packed(bomb)
     lying = bomb.read_bytes().replace(struct.pack("<I", MOST_BYTES), struct.pack("<I", 64))
     (tmp_path / "lying.npz").write_bytes(lying)
+    tracemalloc.start()
     with pytest.raises(ValueError, match=r"lying\.npz: damaged"):
         read_packed(tmp_path / "lying.npz")
+    assert tracemalloc.get_traced_memory()[1] < MOST_BYTES / 8
+    tracemalloc.stop()
     with open(tmp_path / "large.npz", "wb") as file:
         file.truncate(MOST_BYTES + 1)
     with pytest.raises(ValueError, match=f"has {MOST_BYTES + 1} bytes"):
