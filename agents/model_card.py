@@ -112,7 +112,7 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
     compared, kept = record["comparison"], record["recorded"]
     score = compared["score"]
     strongest = (
-        f"{words} {' and '.join(compared['strongest'][f'{when}_{score}_error_m'].values())}"
+        f"{' and '.join(compared['strongest'][f'{when}_{score}_error_m'].values())} by the {words} error"
         for when, words in METRICS.items()
     )
     figures = [[name, *_figures(each, score)] for name, each in compared["policies"].items()]
@@ -125,8 +125,8 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
     ]
     return [
         f"{score.capitalize()} error in metres over {compared['episodes']} paired episodes from seed "
-        f"{compared['seed']}; strongest fixed policy or rule, and greedy one, by the mean error: "
-        f"{', '.join(strongest)}:",
+        f"{compared['seed']}, beside the strongest fixed policy or rule and the strongest greedy one: "
+        f"{', '.join(strongest)}.",
         markdown_table(["policy", "final mean", "p95", "time average", "lost", "µs/decision"], figures),
         markdown_table(["ratio of means, 95 % interval", "final", "time average"], ratios),
         f"What a test flies again: {kept['episodes']} episodes from seed {kept['seed']}, means with bootstrap 95 % "
