@@ -145,7 +145,8 @@ def _limits(description: Mapping[str, Any]) -> list[str]:
         f"It is for {description['environment']} alone: loading refuses any scenario whose observation or actions "
         f"differ (digest {description['observation_digest']}, interface {description['interface']}). Trained on "
         f"{course}, with the tracker {scenario.get('tracker')!r}; with other courses, trackers, accuracies, platforms "
-        "or horizons it flies, but nothing is promised: evaluate it there beside the rules first. It has met simulated "
+        "or horizons it flies, but nothing is promised. How it does in some of these stands in the leaderboard "
+        "(docs/leaderboard.md, Generalisation); in others evaluate it beside the rules first. It has met simulated "
         "sensors only, knows nothing of terrain, airspace or other traffic, and must not steer real platforms.",
         "Fields of the scenario it was trained on, rewards left out:",
         ", ".join(f"`{name}={value}`" for name, value in scenario.items()),
