@@ -239,8 +239,13 @@ class Search(Planned):
         self._seed = seed
 
     def plan(self, task: Task) -> np.ndarray:
-        """Commands [e, n, 3] of the best layouts found."""
-        return np.stack([self.search(task.rows(slice(i, i + 1))) for i in range(len(task.std))])
+        """Commands [e, n, 3] of the best layouts found; every thread searches in episodes of its own."""
+        blocks = Blocks(len(task.std), block=len(task.std), smallest=1)
+
+        def search(part: slice) -> list[np.ndarray]:
+            return [self.search(task.rows(slice(i, i + 1))) for i in range(part.start, part.stop)]
+
+        return np.stack([layout for found in blocks.map(search, blocks.slices) for layout in found])
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""

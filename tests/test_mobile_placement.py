@@ -421,6 +421,17 @@ def test_the_search_promises_no_more_than_any_rule():
     assert (promise(task, first.reshape(2, 1, 3, 3))[:, 0] <= promise(task, rules).min(axis=1)).all()
 
 
+def test_searches_side_by_side_find_what_they_find_alone(monkeypatch):
+    scenario = MobilePlacement()
+    simulation, world = begin(scenario, 3, seed=20)
+    task, policy = simulation.belief(world).task, BestStatic(scenario, seed=1)
+    monkeypatch.setattr(BestStatic, "GENERATIONS", 4)
+    alone = [policy.search(task.rows(slice(i, i + 1))) for i in range(3)]
+    for cores in (1, 2):
+        monkeypatch.setattr("trackers.compiled.available_cores", lambda cores=cores: cores)
+        np.testing.assert_array_equal(policy.plan(task), alone)
+
+
 def test_what_is_promised_of_a_static_layout_is_its_bound_on_that_course():
     """A target that enters and flies just as expected: one course instead of three, and the episode's own bound."""
     certain = {

@@ -482,6 +482,14 @@ def test_blocks_cover_the_batch_once_and_in_order(size, block, threads):
     assert all(len(row) <= block for row in rows)
 
 
+def test_small_batches_are_shared_only_where_that_is_asked_for():
+    assert Blocks(127, threads=2).threads == 1
+    assert Blocks(128, threads=2).threads == 2
+    few = Blocks(3, threads=2, smallest=1)
+    assert (few.threads, sorted(part.stop - part.start for part in few.slices)) == (2, [1, 2])
+    assert Blocks(1, threads=2, smallest=1).threads == 1
+
+
 def test_blocks_inside_blocks_run_where_they_are():
     outer, inner = Blocks(256, 64, 2), Blocks(128, 64, 2)
     assert (outer.threads, inner.threads) == (2, 2)

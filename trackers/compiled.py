@@ -210,12 +210,12 @@ class Blocks:
     Args:
         size: number of items in the batch.
         block: items in one block; small enough that a block's state stays in a core's cache.
-        threads: threads at work, the calling one included; None takes the number of cores this process may use. A
-            batch of fewer than `SMALLEST_BLOCK` items for each is given to fewer.
+        threads: threads at work, the calling one included; None takes the number of cores this process may use.
+        smallest: a batch of fewer items for each thread is given to fewer threads.
     """
 
-    def __init__(self, size: int, block: int = 256, threads: int | None = None):
-        self.threads = max(1, min(threads or available_cores(), size // SMALLEST_BLOCK))
+    def __init__(self, size: int, block: int = 256, threads: int | None = None, smallest: int = SMALLEST_BLOCK):
+        self.threads = max(1, min(threads or available_cores(), size // smallest))
         count = self.threads * max(1, -(-size // (block * self.threads)))
         edges = np.linspace(0, size, count + 1).round().astype(int)
         self.slices = [slice(int(lo), int(hi)) for lo, hi in itertools.pairwise(edges)]
