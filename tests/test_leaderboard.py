@@ -14,7 +14,7 @@ from markdown_tables import tables
 from scipy.stats import binom, expon
 
 from agents import cli, evaluation
-from agents.comparison import ratio_of_means
+from agents.comparison import RESAMPLES, ratio_of_means
 from agents.evaluation import fly
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
@@ -32,7 +32,8 @@ from agents.leaderboard.contestants import (
 from agents.leaderboard.goals import DRAWN, GOALS, LOST, RECORDED, Goal
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
 from agents.leaderboard.report import as_csv, as_markdown, decision_times
-from agents.leaderboard.standings import finalists, interval, resample, standing, verdict
+from agents.leaderboard.resamples import interval, resample
+from agents.leaderboard.standings import finalists, standing, verdict
 from agents.leaderboard.tried import TRIED, Tried
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
@@ -395,6 +396,16 @@ def test_ratio_intervals_are_those_of_an_evaluation(count):
     ours, base = np.random.default_rng(count).exponential(size=(2, count))
     found = interval(resample(ours).mean / resample(base).mean)
     np.testing.assert_allclose(found, ratio_of_means(ours, base)["ci95"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 3, 20, 21, 41, 500, 2000])
+def test_resamples_are_those_of_drawing_episodes_one_by_one(count):
+    values = np.random.default_rng(count).exponential(size=count).round(1)  # with ties
+    rng = np.random.default_rng(0)
+    drawn = np.array([values[rng.integers(0, count, count)] for _ in range(RESAMPLES)])
+    found = resample(values)
+    np.testing.assert_allclose(found.mean, drawn.mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found.p95, np.percentile(drawn, 95.0, axis=1), rtol=1e-12)
 
 
 @pytest.mark.parametrize("what", ["mean", "p95"])

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from agents.comparison import RESAMPLES, figures_of
 from agents.leaderboard.contestants import KINDS, Contestant, geometry_of
 from agents.leaderboard.goals import LOST, Goal
+from agents.leaderboard.resamples import interval, resample
 from agents.outcomes import Outcomes
 from agents.report import headline as headline_of
 from agents.report import metrics_of, verdict
-
-CHUNK = 1_000_000
-"""Numbers resampled at once."""
 
 REFERENCE = "reference"
 """Stands for the best of fixed policies and rules among the best of every kind."""
@@ -28,32 +26,6 @@ PLANNER = "planner"
 
 ORACLE = "oracle"
 """The kind that shows beside them what knowing the truth would be worth."""
-
-
-class Resamples(NamedTuple):
-    """Means and 95th percentiles [RESAMPLES] of bootstrap resamples; equal rows are equal episodes, so ratios of two
-    policies' are those of paired resamples."""
-
-    mean: np.ndarray
-    p95: np.ndarray
-
-
-def resample(values: np.ndarray, seed: int = 0) -> Resamples:
-    """Bootstrap resamples of one error of all episodes [e]; the same episodes for all errors of as many."""
-    rng, count = np.random.default_rng(seed), len(values)
-    rows = max(1, min(RESAMPLES, CHUNK // count))
-    mean, p95 = np.empty(RESAMPLES), np.empty(RESAMPLES)
-    for begin in range(0, RESAMPLES, rows):
-        part = slice(begin, min(begin + rows, RESAMPLES))
-        drawn = values[rng.integers(0, count, (part.stop - part.start, count))]
-        mean[part], p95[part] = drawn.mean(axis=1), np.percentile(drawn, 95.0, axis=1)
-    return Resamples(mean, p95)
-
-
-def interval(resamples: np.ndarray) -> list[float]:
-    """Percentile 95 % interval."""
-    low, high = np.percentile(resamples, [2.5, 97.5])
-    return [float(low), float(high)]
 
 
 def standing(

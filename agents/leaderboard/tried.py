@@ -157,7 +157,7 @@ TRIED: dict[str, Tried] = {
             ("packed", "0.986", "0.985", "0.976", "1.056"),
             ("half of the targets recorded", "0.993", "0.992", "1.010", "1.009"),
         ),
-        "Five training seeds of the preset end between 0.56 and 0.61 of the final error of `repeat`: seeds hardly differ.",
+        "Seeds hardly differ: five trainings of the preset end between 0.56 and 0.61 of the final error of `repeat`.",
     ),
     "passive/MobileReceiver-v0": Tried(
         "Ratios to `timed_pursuit`, one run each; first on 4,000 (recorded) and 1,000 episodes (drawn), then on 2,000 "
