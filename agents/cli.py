@@ -115,7 +115,7 @@ class Leaderboard:
     """Compare all policies in all environments, on drawn courses and held-out recorded flights.
 
     Finished cells (a policy in a scenario) are kept in --out and used again where nothing that decides them has
-    changed, so an interrupted run goes on where it was. Writes leaderboard.json, .csv, .md and .png.
+    changed, so an interrupted run goes on where it was. Writes leaderboard.json, .csv, .md, .png and verdicts.csv.
     """
 
     envs: tuple[str, ...] = ()
@@ -135,7 +135,7 @@ class Leaderboard:
     generalisation: bool = False
     """Add the tables of circumstances that learned policies were not trained in."""
     confirm: int = 0
-    """Judge learned policies on so many further episodes, which did not choose the best rule; 0: on the same ones."""
+    """Judge on so many further episodes, which did not choose the best of each kind; 0: on the same ones."""
     full: bool = False
     """All of these, as docs/leaderboard.md has it: --trackers --generalisation --confirm 2000."""
     fields: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from markdown_tables import tables
 from scipy.stats import binom, expon
 
 from agents import cli, evaluation
-from agents.comparison import ratio_of_means
+from agents.comparison import RESAMPLES, ratio_of_means
 from agents.evaluation import fly
 from agents.leaderboard import COURSES, FLIGHTS, cells, contestants, leaderboard, tracker_names
 from agents.leaderboard.cells import Cell, DamagedCell, code_digest, fly_cells, load, save
@@ -29,9 +29,11 @@ from agents.leaderboard.contestants import (
     opponents,
     unfit,
 )
+from agents.leaderboard.goals import DRAWN, GOALS, LOST, RECORDED, Goal
 from agents.leaderboard.pictures import FARTHEST, NEAREST, overview
-from agents.leaderboard.report import as_csv, as_markdown
-from agents.leaderboard.standings import finalists, interval, resample, standing, verdict
+from agents.leaderboard.report import as_csv, as_markdown, decision_times
+from agents.leaderboard.resamples import interval, resample
+from agents.leaderboard.standings import finalists, standing, verdict
 from agents.leaderboard.tried import TRIED, Tried
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
@@ -396,6 +398,16 @@ def test_ratio_intervals_are_those_of_an_evaluation(count):
     np.testing.assert_allclose(found, ratio_of_means(ours, base)["ci95"], rtol=1e-12)
 
 
+@pytest.mark.parametrize("count", [2, 3, 20, 21, 41, 500, 2000])
+def test_resamples_are_those_of_drawing_episodes_one_by_one(count):
+    values = np.random.default_rng(count).exponential(size=count).round(1)  # with ties
+    rng = np.random.default_rng(0)
+    drawn = np.array([values[rng.integers(0, count, count)] for _ in range(RESAMPLES)])
+    found = resample(values)
+    np.testing.assert_allclose(found.mean, drawn.mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(found.p95, np.percentile(drawn, 95.0, axis=1), rtol=1e-12)
+
+
 @pytest.mark.parametrize("what", ["mean", "p95"])
 def test_intervals_cover_what_is_true_as_often_as_they_say(what):
     """Exponential errors of mean 1 and 95th percentile log 20; a percentile bootstrap of 200 covers 92 to 96 %."""
@@ -443,8 +455,17 @@ def test_a_learned_policy_is_judged_against_whoever_is_best_at_that_very_error()
         ("final_range_error_m", "greedy"): ("g", pytest.approx(0.5)),
         ("mean_range_error_m", "reference"): ("starts_well", pytest.approx(0.75)),
         ("mean_range_error_m", "greedy"): ("h", pytest.approx(0.75)),
+        ("final_range_error_m", "planner"): ("p", pytest.approx(0.5)),
+        ("mean_range_error_m", "planner"): ("p", pytest.approx(0.75)),
     }
-    assert [one.name for one in finalists(field, found["best_by"])] == ["ends_well", "starts_well", "l", "g", "h", "o"]
+    assert [each["open"] for each in found["verdicts"]] == [True] * 4 + [False] * 2  # planners decide nothing
+    best_by = found["best_by"]
+    names = ["ends_well", "starts_well", "l", "g", "h", "o", "p"]
+    assert [one.name for one in finalists(field, best_by)] == names
+    assert [one.name for one in finalists(field, best_by, spared=("p", "g"))] == names[:-1]
+    others = [Contestant(name, "rule", lambda scenario: None) for name in ("straight", "open", "hold")]
+    goals = (Goal(DRAWN, "final", 1.0, ("open", "ends_well")),)
+    assert [one.name for one in finalists([*field, *others], best_by, goals)] == [*names, "straight", "open"]
     assert not finalists(field[:2], standing(SHORT, field[:2], flown, 0)["best_by"])  # nobody learned: nothing to judge
 
 
@@ -550,7 +571,9 @@ def test_every_environment_has_all_its_policies_on_both_kinds_of_courses(run):
             assert sorted(entry["policies"]) == sorted([*policy_names(scenario), "learned"])
             judged = [metric for metric in entry["metrics"] if metric.endswith("_error_m")]
             assert {(each["metric"], each["kind"], each["base"]) for each in entry["verdicts"]} == {
-                (metric, kind, entry["best_by"][metric][kind]) for metric in judged for kind in ("reference", "greedy")
+                (metric, kind, entry["best_by"][metric][kind])
+                for metric in judged
+                for kind in ("reference", "greedy", "planner")
             }
     assert data["about"]["cells"]["new"] > 40
 
@@ -571,7 +594,7 @@ def test_generalisation_flies_every_variation_of_the_environment(run):
     for name in ("TwoStation", "Ownship"):
         found = data["sections"]["generalisation"][f"passive/{name}-v0"]
         wanted = [each.title for each in VARIATIONS if each.name == name]
-        assert [entry["title"] for entry in found] == ["as trained", *wanted]
+        assert [entry["title"] for entry in found] == ["as registered", *wanted]
     noisy = next(
         e for e in data["sections"]["generalisation"]["passive/TwoStation-v0"] if e["title"] == "bearings of 2°"
     )
@@ -666,10 +689,12 @@ def test_short_form_has_one_row_per_environment_and_courses(run):
 def test_open_section_is_computed(run):
     _, data = run
     text = as_markdown(data)
-    every = [each for _, entry in entries(data) for each in entry["verdicts"]]
+    every = [each for _, entry in entries(data) for each in entry["verdicts"] if each["kind"] != "planner"]
     still = [each for each in every if each["open"]]
+    assert still
     assert f"{len(still)} of {len(every)} comparisons" in text
-    all_rows, open_rows = (found[1:] for found in tables(text) if "against" in found[0])
+    all_rows, planned, open_rows = (found[1:] for found in tables(text) if "against" in found[0])
+    assert {row[5] for row in planned} == {"planner"}
     assert (len(all_rows), len(open_rows)) == (len(every), len(still))
     assert [row for row in all_rows if row[6] == "behind" or row[8] != "ahead"] == open_rows
     nothing_learned = {
@@ -704,7 +729,15 @@ def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeyp
             assert each["oracle"]["ratio"] == pytest.approx(oracle.mean() / other.mean(), rel=1e-12)
         assert {each["base"] for each in entry["verdicts"]} == names
         assert (entry["confirmation"]["episodes"], entry["confirmation"]["seed"]) == (2 * EPISODES, SEED + EPISODES)
-        assert entry["confirmation"]["policies"].keys() == {*names, "learned", "oracle"}
+        best = set(before["best_by"]["final_range_error_m"].values()) | set(
+            before["best_by"]["mean_range_error_m"].values()
+        )
+        assert names < entry["confirmation"]["policies"].keys() == best | {"paper"}
+        assert {each["episodes"] for each in entry["verdicts"]} == {2 * EPISODES}
+        reference, paper = (entry["confirmation"]["policies"][name] for name in (entry["reference"], "paper"))
+        metric = entry["headline"]
+        ratio = paper["ratios"][metric]["mean"]["ratio"]
+        assert ratio == pytest.approx(paper[metric]["mean"] / reference[metric]["mean"], rel=1e-12)
         assert entry["verdicts"] != before["verdicts"]
     assert set(data["about"]["cells"]) == {"new"}
     assert f"--confirm {2 * EPISODES}" in data["about"]["command"]
@@ -720,13 +753,123 @@ def test_learned_policies_are_confirmed_on_fresh_episodes(run, tmp_path, monkeyp
     assert [entry["verdicts"] for _, entry in entries(again)] == [entry["verdicts"] for _, entry in entries(data)]
 
 
+def test_costly_planners_are_not_confirmed_but_judged_on_the_first_episodes(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.leaderboard.learned_policies", model_stand_in)
+    monkeypatch.setattr("agents.leaderboard.COSTLY", {"passive/TwoStation-v0": ("planner",)})
+    names = ("rule", "greedy", "planner", "learned")
+    data = leaderboard(
+        ("TwoStation",), names, episodes=EPISODES, seed=SEED, confirm=2 * EPISODES, flights=False, out=tmp_path,
+        fields={"steps": STEPS}, progress=False,
+    )  # fmt: skip
+    ((_, entry),) = entries(data)
+    assert entry["confirmation"]["policies"].keys() == {"rule", "greedy", "learned"}
+    episodes = {each["kind"]: each["episodes"] for each in entry["verdicts"]}
+    assert episodes == {"reference": 2 * EPISODES, "greedy": 2 * EPISODES, "planner": EPISODES}
+    head, row = tables(as_markdown(data))[0]
+    shown = dict(zip(head, row, strict=True))
+    assert shown["planner"].endswith("*")
+    assert not shown["greedy"].endswith("*")
+    assert shown["mean [m]"] == f"{entry['confirmation']['policies']['rule']['final_range_error_m']['mean']:,.0f}"
+    with (tmp_path / "verdicts.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    seeds = {row["base_kind"]: (int(row["seed"]), int(row["episodes"])) for row in rows}
+    assert seeds["planner"] == (SEED, EPISODES)
+    assert seeds["greedy"] == (SEED + EPISODES, 2 * EPISODES)
+
+
+def goal_results(goals, **pairs):
+    field, flown = two_errors(**pairs)
+    return standing(SHORT, field, flown, 0, goals)["goals"]
+
+
+def test_goals_are_reached_or_not_by_the_figure_they_are_about():
+    base = np.random.default_rng(6).uniform(1.0, 2.0, 60)
+    other = np.random.default_rng(7).uniform(1.0, 2.0, 60)
+    pairs = {"rule__a": (base, 2.0 * base), "rule__b": (2.0 * base, base), "learned__l": (0.5 * base, other)}
+    goals = (
+        Goal(DRAWN, "final", 0.5),
+        Goal(DRAWN, "final", 0.49),
+        Goal(DRAWN, "final", 0.25, ("b",)),
+        Goal(DRAWN, "final", 0.5, ("a", "b"), "p95"),
+        Goal(DRAWN, "time average", 2.0),
+        Goal(DRAWN, "time average", other.mean() / base.mean() + 1e-9, (), "high"),
+        Goal(DRAWN, "final", 1.0, ("nobody",)),
+    )
+    found = goal_results(goals, **pairs)
+    assert [(each["goal"], each["base"], each["met"]) for each in found] == [
+        (0, "a", True), (1, "a", False), (2, "b", True), (3, "a", True), (4, "b", True), (5, "b", False),
+    ]  # fmt: skip
+    assert found[0]["ratio"] == found[3]["ratio"] == pytest.approx(0.5)
+    assert found[5]["ratio"] == pytest.approx(other.mean() / base.mean())
+    assert found[5]["ci95"][0] < found[5]["ratio"] < found[5]["ci95"][1]
+
+
+def test_a_goal_of_lost_tracks_compares_shares():
+    base = np.full(40, 1.0)
+    field, flown = two_errors(rule__r=(base, base), learned__l=(base, base))
+    for name, lost in (("r", 4), ("l", 3)):
+        flown[name].lost[:lost] = 1.0
+    (found,) = standing(SHORT, field, flown, 0, (Goal(DRAWN, LOST, 1.0, ("r",)),))["goals"]
+    assert found["ratio"] == pytest.approx(0.75)
+    assert found["met"]
+    assert np.isfinite(found["ci95"]).all()
+
+
+def test_goals_name_errors_and_policies_that_there_are():
+    for environment, goals in GOALS.items():
+        scenario = make_scenario(environment, {})
+        for goal in goals:
+            assert goal.course in (DRAWN, RECORDED)
+            assert goal.what in ("mean", "p95", "high")
+            assert set(goal.against) <= set(policy_names(scenario))
+    assert set(GOALS) == set(environment_ids())
+
+
+def test_the_committed_page_has_every_goal():
+    text = (Path(__file__).parents[1] / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    rows = tables(text.partition("\n## What was meant to be reached\n")[2])[0][1:]
+    assert Counter(f"passive/{row[0].strip('`')}" for row in rows) == {env: len(goals) for env, goals in GOALS.items()}
+    assert f"{sum(row[-1] == 'yes' for row in rows)} of {len(rows)} do." in text
+
+
+def test_sentences_say_where_what_was_learned_is_behind(run):
+    base = np.random.default_rng(8).uniform(1.0, 2.0, 50)
+    factors = {"one": 2.0, "two": 0.5, "three": 1.5}
+    found = [
+        table_of(rule__r=base, learned__pretrained=factor * base) | {"title": title, "unfit": {}}
+        for title, factor in factors.items()
+    ]
+    misfit = table_of(rule__r=base) | {"title": "four", "unfit": {"pretrained": "other observations"}}
+    about = run[1]["about"] | {"trained_on_flights": {"passive/X-v0": 0.25}}
+    sections = {name: {"passive/X-v0": [*found, misfit]} for name in ("leaderboard", "trackers", "generalisation")}
+    text = as_markdown({"about": about, "sections": sections})
+    assert "With 3 trackers" in text
+    assert "ahead in 1, level in 0, behind in 2 (`X-v0` one 2.00, `X-v0` three 1.50); 1 do not fit" in text
+    assert "Behind the best fixed policy or rule: one 2.00, three 1.50." in text
+    assert "met other recorded flights in 25% of its training" in text
+    sections["generalisation"] = {"passive/Y-v0": found[1:2]}
+    text = as_markdown({"about": about, "sections": sections})
+    assert "Behind the best fixed policy or rule: nowhere." in text
+    assert "met other recorded flights" not in text
+
+
+def test_decision_times_are_the_least_of_all_flights():
+    base = np.full(30, 2.0)
+    drawn, recorded = (table_of(rule__r=base, learned__l=base) | {"title": "t", "unfit": {}} for _ in range(2))
+    for entry, times in ((drawn, (5.0, 9.0)), (recorded, (7.0, 3.0))):
+        for name, time in zip(("r", "l"), times, strict=True):
+            entry["policies"][name]["decision_time_us"] = time
+    recorded["confirmation"] = {"policies": {"l": {"decision_time_us": 2.0}}}
+    assert decision_times([drawn, recorded]) == {"r": 5.0, "l": 2.0}
+
+
 def test_what_was_tried_stands_below_what_is_open(run, monkeypatch):
     data = run[1]
-    monkeypatch.setattr("agents.leaderboard.report.TRIED", {})
+    monkeypatch.setattr("agents.leaderboard.judged.TRIED", {})
     assert "What was tried" not in as_markdown(data)
     name = next(env for env, found in data["sections"]["leaderboard"].items() if any(e["verdicts"] for e in found))
     tried = Tried("Ratios.", ("drawn",), (("packed", "1.1"), ("wider rollouts", "1.2")), "Wider is no better.")
-    monkeypatch.setattr("agents.leaderboard.report.TRIED", {name: tried})
+    monkeypatch.setattr("agents.leaderboard.judged.TRIED", {name: tried})
     assert any(each["open"] for _, entry in entries(data) for each in entry["verdicts"])
     text = as_markdown(data)
     assert [["tried", "drawn"], ["packed", "1.1"], ["wider rollouts", "1.2"]] in tables(text)
@@ -808,6 +951,7 @@ def test_head_says_what_it_was_made_with_and_no_computers_name(run):
         "commit",
         "code",
         "held_out",
+        "trained_on_flights",
     }
     assert set(about) == made_with | {"cells", "seconds"}
     assert str(out) not in (out / "leaderboard.json").read_text()
@@ -825,7 +969,7 @@ def test_overview_shows_the_ratios_and_the_bound(run):
                 ratio = entry["policies"][name]["ratios"]["final_range_error_m"]["mean"]["ratio"]
                 assert (kind, round(min(max(ratio, NEAREST), FARTHEST), 9)) in shown
             share = entry["bound"]["mean"] / entry["policies"][entry["reference"]]["final_range_error_m"]["mean"]
-            assert ("bound", round(share, 9)) in shown
+            assert ("bound", round(min(max(share, NEAREST), FARTHEST), 9)) in shown
         assert axes.get_xscale() == "log"
     with pytest.raises(ValueError, match="at least one environment"):
         overview({})
@@ -835,8 +979,10 @@ def test_overview_shows_the_ratios_and_the_bound(run):
 def test_ratios_far_off_stand_at_the_edge_with_their_number(factor, words):
     base = np.random.default_rng(5).uniform(1.0, 2.0, 30)
     entry = table_of(rule__r=base, greedy__g=factor * base) | {"title": "drawn courses"}
-    (axes,) = overview({"passive/X-v0": [entry]}).axes
-    assert [text.get_text() for text in axes.texts] == ([words] if words else [])
+    for bound, beside in ((1.0, []), (0.1, ["← 0.1"])):
+        entry["bound"]["mean"] = bound * base.mean()
+        (axes,) = overview({"passive/X-v0": [entry]}).axes
+        assert [text.get_text() for text in axes.texts] == ([words] if words else []) + beside
     (dot,) = (line for line in axes.lines if line.get_label() == "greedy")
     assert dot.get_xdata()[0] == pytest.approx(min(max(factor, NEAREST), FARTHEST))
     left, right = axes.get_xlim()

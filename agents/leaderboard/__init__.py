@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import platform
+import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from agents.evaluation import Engine, here
 from agents.files import make_folder
 from agents.leaderboard.cells import Cell, Flown, code_digest, fly_cells
 from agents.leaderboard.contestants import (
+    COSTLY,
     KINDS,
     Contestant,
     affordable,
@@ -26,10 +28,14 @@ from agents.leaderboard.contestants import (
     run_folders,
     unfit,
 )
+from agents.leaderboard.goals import GOALS, Goal
 from agents.leaderboard.report import short_form, write_leaderboard
 from agents.leaderboard.standings import confirmed, finalists, standing
 from agents.leaderboard.variations import VARIATIONS
 from agents.main_job import HELD_OUT, flown_by
+from agents.packed import SUFFIX, read_packed
+from agents.presets import flights_share
+from agents.pretrained import card, pretrained_ids
 from agents.provenance import commit, processor_name, versions
 from passive_env.catalogue import environment_id, environment_ids, make_scenario, scenario_name
 from passive_env.flights import load_flights
@@ -53,6 +59,7 @@ class Table(NamedTuple):
         scenario: resolved.
         field: who takes part.
         unfit: learned policies that cannot fly it, and why.
+        goals: what learned policies are meant to reach in it.
     """
 
     section: str
@@ -61,6 +68,7 @@ class Table(NamedTuple):
     scenario: Any
     field: list[Contestant]
     unfit: dict[str, str]
+    goals: tuple[Goal, ...] = ()
 
 
 def leaderboard(
@@ -86,8 +94,8 @@ def leaderboard(
     with engine or nullcontext(here) as fly_by:
         entries, flown = _standings(tables, episodes, seed, out, progress, fly_by)
         if confirm:
-            judged = [pair for pair in zip(tables, entries, strict=True) if pair[0].section == "leaderboard"]
-            flown = flown.joined(_confirm(judged, confirm, seed + episodes, out, progress, fly_by))
+            entries, further = _confirm(tables, entries, confirm, seed + episodes, out, progress, fly_by)
+            flown = flown.joined(further)
     command = _command(envs, policies, runs, episodes, seed, flights, trackers, generalisation, confirm, fields or {})
     about = _about(episodes, seed, flights, fields or {}) | {
         "command": command, "cells": dict(flown.states), "confirm": confirm,
@@ -109,26 +117,33 @@ def _standings(
     flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
     entries = []
     for table, row in zip(tables, cells, strict=True):
-        found = standing(table.scenario, table.field, flown.by_policy(row), seed)
+        found = standing(table.scenario, table.field, flown.by_policy(row), seed, table.goals)
         entries.append({"title": table.title, "unfit": table.unfit} | found)
     return entries, flown
 
 
 def _confirm(
-    judged: Sequence[tuple[Table, dict[str, Any]]], episodes: int, seed: int, out: Path, progress: bool, fly_by: Engine
-) -> Flown:
-    """Replace verdicts by those of fresh episodes: whoever was best by luck of the first ones is so no longer."""
-    taking_part = [
-        (entry, [Cell(table.environment, table.scenario, one, episodes, seed) for one in field])
-        for table, entry in judged
-        if (field := finalists(table.field, entry["best_by"]))
+    tables: Sequence[Table], entries: Sequence[dict[str, Any]], episodes: int, seed: int, out: Path, progress: bool,
+    fly_by: Engine,
+) -> tuple[list[dict[str, Any]], Flown]:  # fmt: skip
+    """The standings with verdicts of fresh episodes: whoever was best by luck of the first ones is so no longer."""
+    cells = [
+        [Cell(table.environment, table.scenario, one, episodes, seed) for one in _finalists(table, entry)]
+        for table, entry in zip(tables, entries, strict=True)
     ]
-    flown = fly_cells([cell for _, cells in taking_part for cell in cells], out, progress, fly_by)
-    for entry, cells in taking_part:
-        field = [cell.contestant for cell in cells]
-        entry["confirmation"] = confirmed(field, flown.by_policy(cells), entry["best_by"], seed)
-        entry["verdicts"] = entry["confirmation"].pop("verdicts")
-    return flown
+    flown = fly_cells([cell for row in cells for cell in row], out, progress, fly_by)
+    found = [
+        confirmed(entry, [cell.contestant for cell in row], flown.by_policy(row), seed, table.goals) if row else entry
+        for table, entry, row in zip(tables, entries, cells, strict=True)
+    ]
+    return found, flown
+
+
+def _finalists(table: Table, entry: Mapping[str, Any]) -> list[Contestant]:
+    """Who flies once more; nobody but in the leaderboard itself."""
+    if table.section != "leaderboard":
+        return []
+    return finalists(table.field, entry["best_by"], table.goals, COSTLY.get(table.environment, ()))
 
 
 def _environments(envs: Sequence[str]) -> list[str]:
@@ -188,7 +203,11 @@ def _courses(env: str, field: Sequence[Contestant], flights: bool, fields: dict[
     scenarios = {COURSES: make_scenario(env, fields)}
     if flights:
         scenarios[FLIGHTS] = flown_by(scenario_name(env), HELD_OUT, fields)
-    return [_table("leaderboard", env, title, scenario, field) for title, scenario in scenarios.items()]
+    tables = [_table("leaderboard", env, title, scenario, field) for title, scenario in scenarios.items()]
+    goals = () if fields else GOALS.get(env, ())
+    return [
+        table._replace(goals=tuple(goal for goal in goals if goal.course == table.scenario.course)) for table in tables
+    ]
 
 
 def tracker_names(scenario: Any) -> list[str]:
@@ -208,7 +227,7 @@ def _crossed(env: str, field: Sequence[Contestant], fields: dict[str, Any]) -> l
 def _varied(env: str, field: Sequence[Contestant], flights: bool, fields: dict[str, Any]) -> list[Table]:
     """The environment as it is, then in every other circumstance."""
     name = scenario_name(env)
-    tables = [_table("generalisation", env, "as trained", make_scenario(env, fields), field)]
+    tables = [_table("generalisation", env, "as registered", make_scenario(env, fields), field)]
     for each in VARIATIONS:
         if each.name == name and (flights or not each.flights):
             changed = {**fields, **each.fields}
@@ -225,7 +244,8 @@ def _command(
     folders = ["=".join((name, Path(folder).name)) for name, _, folder in (text.partition("=") for text in runs)]
     listed = {"envs": envs, "policies": policies, "runs": folders}
     listed["fields"] = [f"{name}={value}" for name, value in fields.items()]
-    words = ["passive-env leaderboard", *(f"--{flag} {' '.join(values)}" for flag, values in listed.items() if values)]
+    words = ["passive-env leaderboard"]
+    words += [f"--{flag} {shlex.join(values)}" for flag, values in listed.items() if values]
     words += [f"--episodes {episodes} --seed {seed}", *(["--no-flights"] if not flights else [])]
     words += [f"--{flag}" for flag, on in {"trackers": trackers, "generalisation": generalisation}.items() if on]
     words += [f"--confirm {confirm}"] if confirm else []
@@ -246,7 +266,14 @@ def _about(episodes: int, seed: int, recorded: bool, fields: dict[str, Any]) -> 
         "commit": commit(),
         "code": code_digest(),
         "held_out": _held_out() if recorded else {},
+        "trained_on_flights": {env: share for env in pretrained_ids() if (share := _flights_share(env))},
     }
+
+
+def _flights_share(env: str) -> float:
+    """Share of a pretrained policy's training that was on recorded courses."""
+    description = read_packed(card(env).with_suffix(SUFFIX)).description
+    return flights_share(description["preset"], description["fields"])
 
 
 def _held_out() -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,11 @@ circumstances, are compared."""
 
 GEOMETRIES = ("paper", "fixed", "straight")
 """Reference geometries, the first one offered counts."""
+
+
+def geometry_of(names: Collection[str]) -> str | None:
+    """The reference geometry among policies, if there is one."""
+    return next((name for name in GEOMETRIES if name in names), None)
 
 
 @dataclass(frozen=True)

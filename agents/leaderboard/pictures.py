@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from agents.leaderboard.contestants import KINDS
+from agents.leaderboard.words import ratios_of
 from agents.pictures import DPI, log_ticks, style_diagram
 from passive_env.palette import BLACK, BLUE, GREEN, GRID, INK, MUTED, ORANGE, PURPLE, VERMILION
 
@@ -73,17 +74,22 @@ def _row(axes: Axes, row: int, entry: Mapping[str, Any]) -> None:
     metric, kinds = entry["headline"], list(entry["best"])
     places = row + SPREAD * (np.arange(len(kinds)) - 0.5 * (len(kinds) - 1)) / max(len(KINDS) - 1, 1)
     for kind, place in zip(kinds, places, strict=True):
-        ratio = entry["policies"][entry["best"][kind]]["ratios"][metric]["mean"]
-        shown = min(max(ratio["ratio"], NEAREST), FARTHEST)
-        axes.add_line(_at(_dot(kind), shown, place))
-        if shown == ratio["ratio"]:
+        ratio = ratios_of(entry, entry["best"][kind])[0]["mean"]
+        if _put(axes, _dot(kind), ratio["ratio"], place, COLORS[kind]):
             axes.hlines(place, *ratio["ci95"], color=COLORS[kind], linewidth=1.6, zorder=3)
-        else:
-            _note_at_edge(axes, ratio["ratio"], shown, place, COLORS[kind])
     if metric.startswith("final"):
         share = entry["bound"]["mean"] / entry["policies"][entry["reference"]][metric]["mean"]
-        axes.add_line(_at(_stroke(26.0), share, row))
+        _put(axes, _stroke(26.0), share, row, BOUND)
     axes.autoscale_view()
+
+
+def _put(axes: Axes, sign: Line2D, ratio: float, place: float, color: str) -> bool:
+    """A sign at a ratio, or at the edge with its number; returns whether the ratio itself is shown."""
+    shown = min(max(ratio, NEAREST), FARTHEST)
+    axes.add_line(_at(sign, shown, place))
+    if shown != ratio:
+        _note_at_edge(axes, ratio, shown, place, color)
+    return shown == ratio
 
 
 def _note_at_edge(axes: Axes, ratio: float, edge: float, place: float, color: str) -> None:

@@ -4,23 +4,41 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from agents.files import atomic_write, save_figure, write_json, write_text
-from agents.leaderboard.contestants import COSTLY, GEOMETRIES
+from agents.leaderboard.contestants import GEOMETRIES, geometry_of
+from agents.leaderboard.crossed import tracker_part, varied_part
+from agents.leaderboard.judged import goals_part, learned_part, open_part, verdicts_of
 from agents.leaderboard.pictures import overview
-from agents.leaderboard.standings import BASES, REFERENCE
-from agents.leaderboard.tried import TRIED, Tried
+from agents.leaderboard.standings import REFERENCE
+from agents.leaderboard.words import (
+    KIND_WORDS,
+    best_of,
+    listed,
+    mean_words,
+    metres,
+    nees_words,
+    ratio_words,
+    ratios_of,
+    rows_table,
+    sections_of,
+    short,
+    standings_of,
+    targets,
+)
 from agents.outcomes import COLLAPSE_M, LATE_ERROR_M, LATE_STEPS
 from agents.provenance import short_commit
-from agents.report import flatten, percent, table
+from agents.report import flatten, percent
 
 PICTURE = "leaderboard.png"
 SHORT_KINDS = ("greedy", "planner", "learned", "oracle")
 """Kinds whose best policy stands beside the reference in the short form."""
+
+FIRST = " *"
+"""Marks a figure of the episodes on which the best were chosen."""
 
 
 def write_leaderboard(out: Path, data: Mapping[str, Any]) -> list[Path]:
@@ -30,20 +48,8 @@ def write_leaderboard(out: Path, data: Mapping[str, Any]) -> list[Path]:
         atomic_write(out / "leaderboard.csv", as_csv(data)),
         atomic_write(out / "verdicts.csv", verdicts_csv(data)),
         write_text(out / "leaderboard.md", as_markdown(data)),
-        save_figure(out / PICTURE, overview(_sections(data, "leaderboard"))),
+        save_figure(out / PICTURE, overview(sections_of(data, "leaderboard"))),
     ]
-
-
-def _sections(data: Mapping[str, Any], section: str) -> dict[str, list[dict[str, Any]]]:
-    """Standings of a section by environment; empty where it was not asked for."""
-    return data["sections"].get(section, {})
-
-
-def _standings(data: Mapping[str, Any], section: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(environment, standing), one after another."""
-    for environment, entries in _sections(data, section).items():
-        for entry in entries:
-            yield environment, entry
 
 
 # -- CSV ---------------------------------------------------------------------------------------------------------------
@@ -53,14 +59,14 @@ def as_csv(data: Mapping[str, Any]) -> str:
     """One row per section, environment, standing and policy; one column per figure."""
     rows = []
     for section in data["sections"]:
-        for environment, entry in _standings(data, section):
+        for environment, entry in standings_of(data, section):
             rows += [_csv_row(section, environment, entry, policy) for policy in entry["policies"]]
     return _csv(rows)
 
 
 def verdicts_csv(data: Mapping[str, Any]) -> str:
     """One row per learned policy, courses, error and opponent; only the head where nothing learned takes part."""
-    return _csv([_verdict_cells(*each) for each in _verdicts(data)])
+    return _csv([_verdict_cells(*each) for each in verdicts_of(data)])
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -73,10 +79,11 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _verdict_cells(environment: str, entry: Mapping[str, Any], each: Mapping[str, Any]) -> dict[str, Any]:
-    drawn = entry.get("confirmation", entry)
+    again = entry.get("confirmation", {}).get("episodes") == each["episodes"]
+    seed = entry["confirmation"]["seed"] if again else entry["seed"]
     row = {
-        "environment": environment, "title": entry["title"], "episodes": drawn["episodes"], "seed": drawn["seed"],
-        "policy": each["policy"], "metric": each["metric"], "base": each["base"], "base_kind": BASES[each["kind"]],
+        "environment": environment, "title": entry["title"], "episodes": each["episodes"], "seed": seed,
+        "policy": each["policy"], "metric": each["metric"], "base": each["base"], "base_kind": KIND_WORDS[each["kind"]],
     }  # fmt: skip
     for what in ("mean", "p95", "oracle"):
         ratio = each[what] or {"ratio": "", "ci95": ("", "")}
@@ -110,16 +117,16 @@ def _csv_row(section: str, environment: str, entry: Mapping[str, Any], policy: s
 
 _BOUND = (
     "The bound is the least mean posterior Cramér–Rao bound at the end, shown where final errors are: a standard "
-    "deviation, which a mean error may undercut (of a Gaussian range it is 0.8 of it), for targets as restless as the "
-    "filter assumes, which drawn ones are not."
+    "deviation, which a mean error may undercut (of a Gaussian range it is 0.8 of it), and that for targets as "
+    "restless as the filter assumes. Drawn ones fly steadier, so good policies come out below it."
 )
 
 
 def as_markdown(data: Mapping[str, Any]) -> str:
     """The whole leaderboard; its first part is the short form."""
     parts = ["# Leaderboard", _head(data), "## In short", short_form(data), f"![Ratios to the best rule]({PICTURE})"]
-    parts += [_BOUND]
-    parts += [*_learned_part(data), *_open_part(data), *_full_part(data), *_tracker_part(data), *_varied_part(data)]
+    parts += [_BOUND, *learned_part(data), *open_part(data), *goals_part(data), *_full_part(data)]
+    parts += [*tracker_part(data), *varied_part(data)]
     return "\n\n".join(parts)
 
 
@@ -150,108 +157,53 @@ def _held_out(about: Mapping[str, Any]) -> str:
 
 def short_form(data: Mapping[str, Any]) -> str:
     """One row per environment and kind of courses: the best policy of every kind beside the best fixed one or rule."""
-    rows = [_short_row(environment, entry) for environment, entry in _standings(data, "leaderboard")]
+    confirm = data["about"]["confirm"]
+    rows = [_short_row(environment, entry, confirm) for environment, entry in standings_of(data, "leaderboard")]
+    again = (
+        f" The best are those of the {data['about']['episodes']:,} episodes above; the figures are of {confirm:,} "
+        f"others, but where marked{FIRST}."
+    )
     note = (
         "Ratios to the mean error of the best fixed policy or rule, the best of every kind; below 1 is better. Paper: "
-        f"the reference geometry, {_listed(GEOMETRIES)}, the first one offered."
+        f"the reference geometry, {listed(GEOMETRIES)}, the first one offered.{again if confirm else ''}"
     )
-    return "\n".join([*_rows_table(rows), "", note])
+    return "\n".join([rows_table(rows), "", note])
 
 
-def _short_row(environment: str, entry: Mapping[str, Any]) -> dict[str, str]:
+def _short_row(environment: str, entry: Mapping[str, Any], confirm: int) -> dict[str, str]:
     """Cells by the names of their columns."""
-    metric, reference, learned = entry["headline"], entry["reference"], entry["best"].get("learned")
-    geometry = next((name for name in GEOMETRIES if name in entry["policies"]), None)
-    tail = entry["policies"][learned]["ratios"][metric]["p95"] if learned else None
+    best = {kind: entry["best"].get(kind) for kind in SHORT_KINDS}
+    ratios = {"paper": geometry_of(entry["policies"]), **best}
+    figures = entry.get("confirmation", entry)["policies"].get(
+        entry["reference"], entry["policies"][entry["reference"]]
+    )
     return {
-        "environment": _short(environment),
-        "targets": _targets(entry),
-        "error": entry["metrics"][metric],
-        "best fixed or rule": f"`{reference}`" if _base(entry, REFERENCE) else "",
-        "mean [m]": _mean_of(entry, reference),
-        "paper": _mean_ratio(entry, geometry),
-        **{kind: _mean_ratio(entry, entry["best"].get(kind)) for kind in SHORT_KINDS},
-        "p95, learned": _ratio_words(tail) if tail else "",
+        "environment": short(environment),
+        "targets": targets(entry),
+        "error": entry["metrics"][entry["headline"]],
+        "best fixed or rule": f"`{entry['reference']}`" if best_of(entry, REFERENCE) else "",
+        "mean [m]": metres(figures[entry["headline"]]["mean"]),
+        **{column: _short_ratio(entry, name, "mean", confirm) for column, name in ratios.items()},
+        "p95, learned": _short_ratio(entry, best["learned"], "p95", confirm),
     }
 
 
-def _mean_ratio(entry: Mapping[str, Any], name: str | None) -> str:
-    """To the reference, by the error that ranks."""
-    return _ratio_words(entry["policies"][name]["ratios"][entry["headline"]]["mean"]) if name else ""
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names)
-
-
-def _learned_part(data: Mapping[str, Any]) -> list[str]:
-    """Every learned policy against the best rule and the best greedy one."""
-    rows = [_verdict_row(environment, entry, each) for environment, entry, each in _verdicts(data)]
-    if not rows:
-        return []
-    episodes = data["about"]["confirm"]
-    again = f"; these ratios are of {episodes:,} others, whose seeds follow" if episodes else ", the same as here"
-    note = (
-        "Ahead: the interval of the ratio lies below 1; behind: above; level: it holds 1. Against whom: the fixed "
-        "policy or rule, and the greedy one, of least mean of that very error on the episodes above"
-        f"{again}. Intervals are 95 % each: were all {2 * len(rows)} verdicts in truth level, some "
-        f"{math.ceil(0.1 * len(rows))} would say otherwise. An oracle searches with the targets' true paths, or the "
-        "blockages to come, known: below 1, what knowing them is worth to such a search; above 1, its search is not "
-        "good enough to tell. `RadarPlacement-v0` has none."
-    )
-    heading = "## Learned policies against the best fixed policy or rule and the best greedy one"
-    return [heading, note, "\n".join(table(_VERDICT, rows))]
-
-
-def _open_part(data: Mapping[str, Any]) -> list[str]:
-    """Where what was learned is behind on the mean, or not ahead on the 95th percentile."""
-    verdicts = list(_verdicts(data))
-    if not verdicts:
-        return []
-    rows = [_verdict_row(environment, entry, each) for environment, entry, each in verdicts if each["open"]]
-    note = (
-        f"{len(rows)} of {len(verdicts)} comparisons: the learned policy is behind on the mean, or not ahead on the "
-        "95th percentile."
-    )
-    environments = dict.fromkeys(environment for environment, _, each in verdicts if each["open"])
-    parts = ["## Open", note, *(["\n".join(table(_VERDICT, rows))] if rows else [])]
-    tried = [part for name in environments if name in TRIED for part in _tried(name, TRIED[name])]
-    return parts + (["## What was tried", *tried] if tried else [])
-
-
-def _tried(environment: str, tried: Tried) -> list[str]:
-    """Trainings that were compared, and what they say."""
-    found = table(["tried", *tried.columns], [list(row) for row in tried.rows])
-    return [f"{_short(environment)}. {tried.measured}", "\n".join(found), tried.lesson]
-
-
-_VERDICT = [
-    "environment", "targets", "policy", "error", "against", "kind", "ratio of means", "mean", "ratio of p95", "p95",
-    "oracle's ratio of means",
-]  # fmt: skip
-
-
-def _verdicts(data: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any], dict[str, Any]]]:
-    for environment, entry in _standings(data, "leaderboard"):
-        for each in entry["verdicts"]:
-            yield environment, entry, each
-
-
-def _verdict_row(environment: str, entry: Mapping[str, Any], each: Mapping[str, Any]) -> list[str]:
-    return [
-        _short(environment), _targets(entry), f"`{each['policy']}`", entry["metrics"][each["metric"]],
-        f"`{each['base']}`", BASES[each["kind"]], _ratio_words(each["mean"]), each["mean_verdict"],
-        _ratio_words(each["p95"]), each["p95_verdict"], _ratio_words(each["oracle"]) if each["oracle"] else "—",
-    ]  # fmt: skip
+def _short_ratio(entry: Mapping[str, Any], name: str | None, what: str, confirm: int) -> str:
+    """To the reference, by the error that ranks; marked if it should be of further episodes and is not."""
+    if name is None:
+        return ""
+    ratios, again = ratios_of(entry, name)
+    return ratio_words(ratios[what]) + (FIRST if confirm and not again else "")
 
 
 def _full_part(data: Mapping[str, Any]) -> list[str]:
     """All policies of every environment."""
     parts = ["## All policies", _full_note()]
-    for environment, entries in _sections(data, "leaderboard").items():
+    for environment, entries in sections_of(data, "leaderboard").items():
         parts.append(f"### `{environment}`")
+        times = decision_times(entries)
         for entry in entries:
-            parts += [_caption(entry), "\n".join(figures_table(entry))]
+            parts += [_caption(entry), figures_table(entry, times)]
     return parts
 
 
@@ -261,7 +213,8 @@ def _full_note() -> str:
         "end of the geometry that the policy flew; the row of that name shows the least. Lost: "
         "as the scenario's `lost_error_m` and `lost_nees` say, at the end; lost late: more than "
         f"{LATE_ERROR_M / 1e3:.0f} km off on average over the last {LATE_STEPS} steps; collapsed: more than "
-        f"{COLLAPSE_M / 1e3:.0f} km off at the end, or with a NEES above its 99.99 % quantile."
+        f"{COLLAPSE_M / 1e3:.0f} km off at the end, or with a NEES above its 99.99 % quantile. Decision times are the "
+        "least of all flights of a policy in its environment."
     )
 
 
@@ -274,194 +227,52 @@ def _caption(entry: Mapping[str, Any]) -> str:
 
 
 def _reference_kind(entry: Mapping[str, Any]) -> str:
-    return "fixed policy or rule" if _base(entry, REFERENCE) else "policy, for no fixed one or rule takes part"
+    return "fixed policy or rule" if best_of(entry, REFERENCE) else "policy, for no fixed one or rule takes part"
 
 
-def figures_table(entry: Mapping[str, Any]) -> list[str]:
-    """One row per policy, then the least bound."""
-    rows = [_figures_row(entry, name, figures) for name, figures in entry["policies"].items()]
+def decision_times(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Of every policy [µs], the least of all its flights: other work on the machine only adds."""
+    flown = [each for entry in entries for each in (entry, entry.get("confirmation", entry))]
+    names = dict.fromkeys(name for each in flown for name in each["policies"])
+    return {
+        name: min(each["policies"][name]["decision_time_us"] for each in flown if name in each["policies"])
+        for name in names
+    }
+
+
+def figures_table(entry: Mapping[str, Any], times: Mapping[str, float]) -> str:
+    """One row per policy, then the least bound; times per decision [µs] by policy."""
+    rows = [_figures_row(entry, name, figures, times[name]) for name, figures in entry["policies"].items()]
     least = dict.fromkeys(rows[0], "") | {"policy": "bound", "kind": _bound_words(entry)}
-    return _rows_table([*rows, least | {"bound": _metres(entry["bound"]["mean"])}])
+    return rows_table([*rows, least | {"bound": metres(entry["bound"]["mean"])}])
 
 
 def _bound_words(entry: Mapping[str, Any]) -> str:
     return f"of `{entry['bound']['policy']}`"
 
 
-def _figures_row(entry: Mapping[str, Any], name: str, figures: Mapping[str, Any]) -> dict[str, str]:
+def _figures_row(entry: Mapping[str, Any], name: str, figures: Mapping[str, Any], time_us: float) -> dict[str, str]:
     """Cells by the names of their columns."""
     final, average, *more = (figures[metric] for metric in entry["metrics"])
     late = {"lost late": percent(figures["lost_late_share"])} if "lost_late_share" in figures else {}
     return {
         "policy": f"`{name}`",
         "kind": figures["kind"],
-        "final mean": _mean_words(final),
-        "median": _metres(final["median"]),
-        "p95": _metres(final["p95"]),
-        "time average": _mean_words(average),
-        "its p95": _metres(average["p95"]),
-        **{words: _mean_words(each) for words, each in zip(list(entry["metrics"].values())[2:], more, strict=True)},
-        "bound": _metres(figures[f"final_{entry['score']}_crlb_m"]),
+        "final mean": mean_words(final),
+        "median": metres(final["median"]),
+        "p95": metres(final["p95"]),
+        "time average": mean_words(average),
+        "its p95": metres(average["p95"]),
+        **{words: mean_words(each) for words, each in zip(list(entry["metrics"].values())[2:], more, strict=True)},
+        "bound": metres(figures[f"final_{entry['score']}_crlb_m"]),
         "lost": percent(figures["lost_share"]),
         **late,
         "collapsed": percent(figures["collapse_share"]),
-        "NEES mean / median": _nees_words(figures),
+        "NEES mean / median": nees_words(figures),
         "episodes": f"{entry['episodes']:,}",
-        "µs/decision": f"{figures['decision_time_us']:,.2f}",
+        "µs/decision": f"{time_us:,.2f}",
         **{
-            f"{words} / {entry['reference']}": _ratio_words(figures["ratios"][metric]["mean"])
+            f"{words} / {entry['reference']}": ratio_words(figures["ratios"][metric]["mean"])
             for metric, words in entry["metrics"].items()
         },
     }
-
-
-def _tracker_part(data: Mapping[str, Any]) -> list[str]:
-    """Every tracker under every policy."""
-    if not _sections(data, "trackers"):
-        return []
-    parts = [
-        "## Trackers",
-        "Every tracker under every policy on the same tapes: does a maneuver help the tracker it was made for only? "
-        "Final error in metres. NEES: an honest tracker has the mean that is named. Ratios to the rule or fixed policy "
-        f"that is best with the same tracker. {_left_out()}",
-    ]
-    for environment, entries in _sections(data, "trackers").items():
-        parts += [f"### Trackers of `{environment}`", f"{_honest(entries[0])}{_helped(entries)}"]
-        parts.append("\n".join(tracker_table(entries)))
-    return parts
-
-
-def _helped(entries: Sequence[Mapping[str, Any]]) -> str:
-    """Which trackers what was learned helps, in words; empty where nothing learned takes part."""
-    found = [
-        f"`{entry['title']}` {_ratio_words(each['mean'])}, {each['mean_verdict']}"
-        for entry in entries
-        for each in entry["verdicts"]
-        if each["kind"] == REFERENCE and each["metric"] == entry["headline"]
-    ]
-    if not found:
-        return ""
-    error = entries[0]["metrics"][entries[0]["headline"]]
-    return f" Learned to the best fixed policy or rule with the same tracker ({error}): {'; '.join(found)}."
-
-
-def _left_out() -> str:
-    named = "; ".join(f"{_listed(names)} of {_short(environment)}" for environment, names in COSTLY.items())
-    return f"Left out, for they search for a tenth of a second per episode or longer: {named}."
-
-
-def _honest(entry: Mapping[str, Any]) -> str:
-    return f"{entry['score'].capitalize()} error; mean NEES of an honest tracker: {entry['state_size']}."
-
-
-def tracker_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One row per tracker and policy."""
-    rows: list[dict[str, str]] = []
-    for entry in entries:
-        rows += [_tracker_row(entry, name, figures) for name, figures in entry["policies"].items()]
-        missing = dict.fromkeys(rows[0], "") | {"tracker": f"`{entry['title']}`", "final mean": "does not fit"}
-        rows += [missing | {"policy": f"`{name}`"} for name in entry["unfit"]]
-    return _rows_table(rows)
-
-
-def _tracker_row(entry: Mapping[str, Any], name: str, figures: Mapping[str, Any]) -> dict[str, str]:
-    """Cells by the names of their columns."""
-    final, average, *_ = entry["metrics"]
-    return {
-        "tracker": f"`{entry['title']}`",
-        "policy": f"`{name}`",
-        "final mean": _mean_words(figures[final]),
-        "p95": _metres(figures[final]["p95"]),
-        "time average": _mean_words(figures[average]),
-        "NEES mean / median": _nees_words(figures),
-        "lost": percent(figures["lost_share"]),
-        "collapsed": percent(figures["collapse_share"]),
-        "reference": f"`{entry['reference']}`",
-        "final / reference": _ratio_words(figures["ratios"][final]["mean"]),
-        "average / reference": _ratio_words(figures["ratios"][average]["mean"]),
-    }
-
-
-def _varied_part(data: Mapping[str, Any]) -> list[str]:
-    """Other circumstances than those of training."""
-    if not _sections(data, "generalisation"):
-        return []
-    parts = [
-        "## Generalisation",
-        "Where one thing differs from what learned policies were trained in: ratios to the best fixed policy or rule "
-        f"and to the best greedy one in the same circumstances. {_left_out()} Numbers of targets, stations and "
-        "transmitters stay as they are: they decide what a policy sees.",
-    ]
-    for environment, entries in _sections(data, "generalisation").items():
-        parts += [f"### Generalisation in `{environment}`", "\n".join(varied_table(entries))]
-    return parts
-
-
-def varied_table(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """One row per circumstance and learned policy; a single one where nothing learned takes part."""
-    rows = []
-    for entry in entries:
-        learned = [name for name, figures in entry["policies"].items() if figures["kind"] == "learned"]
-        rows += [_varied_row(entry, name) for name in (*learned, *entry["unfit"]) or ("",)]
-    return _rows_table(rows)
-
-
-def _varied_row(entry: Mapping[str, Any], name: str) -> dict[str, str]:
-    """Cells by the names of their columns."""
-    metric = entry["headline"]
-    row = {"circumstances": entry["title"], "error": entry["metrics"][metric]}
-    for kind, words in BASES.items():
-        best = _base(entry, kind)
-        row |= {f"best {words}": f"`{best}`" if best else "", f"mean, {words}": _mean_of(entry, best)}
-    mean = "does not fit" if name in entry["unfit"] else _mean_of(entry, name)
-    row |= {"policy": f"`{name}`" if name else "", "mean": mean}
-    for what in ("mean", "p95"):
-        row |= {f"{what} / {words}": _against(entry, name, kind, what) for kind, words in BASES.items()}
-    return row
-
-
-def _base(entry: Mapping[str, Any], kind: str) -> str | None:
-    """Whom learned policies are compared with by the error that ranks."""
-    return entry["best_by"][entry["headline"]].get(kind)
-
-
-def _mean_of(entry: Mapping[str, Any], name: str | None) -> str:
-    return _metres(entry["policies"][name][entry["headline"]]["mean"]) if name else ""
-
-
-def _against(entry: Mapping[str, Any], name: str, kind: str, what: str) -> str:
-    """A learned policy's ratio to the best one of a kind."""
-    wanted = (name, kind, entry["headline"])
-    found = [each for each in entry["verdicts"] if (each["policy"], each["kind"], each["metric"]) == wanted]
-    return _ratio_words(found[0][what]) if found else ""
-
-
-def _rows_table(rows: Sequence[Mapping[str, str]]) -> list[str]:
-    """A table of rows with the same columns."""
-    return table(list(rows[0]), [list(row.values()) for row in rows])
-
-
-def _short(environment: str) -> str:
-    return f"`{environment.split('/')[-1]}`"
-
-
-def _nees_words(figures: Mapping[str, Any]) -> str:
-    return f"{figures['final_nees']['mean']:.1f} / {figures['final_nees']['median']:.1f}"
-
-
-def _targets(entry: Mapping[str, Any]) -> str:
-    return "recorded" if entry["course"] == "flights" else "drawn"
-
-
-def _metres(value: float) -> str:
-    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-
-
-def _mean_words(figure: Mapping[str, Any]) -> str:
-    low, high = figure["ci95"]
-    return f"{_metres(figure['mean'])} [{_metres(low)}, {_metres(high)}]"
-
-
-def _ratio_words(ratio: Mapping[str, Any]) -> str:
-    low, high = ratio["ci95"]
-    return "1" if low == high == ratio["ratio"] == 1.0 else f"{ratio['ratio']:.3f} [{low:.3f}, {high:.3f}]"

@@ -2,57 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from agents.comparison import RESAMPLES, figures_of
-from agents.leaderboard.contestants import KINDS, Contestant
+from agents.leaderboard.contestants import KINDS, Contestant, geometry_of
+from agents.leaderboard.goals import LOST, Goal
+from agents.leaderboard.resamples import interval, resample
 from agents.outcomes import Outcomes
 from agents.report import headline as headline_of
 from agents.report import metrics_of, verdict
-
-CHUNK = 1_000_000
-"""Numbers resampled at once."""
 
 REFERENCE = "reference"
 """Stands for the best of fixed policies and rules among the best of every kind."""
 
 BASES = {REFERENCE: "fixed or rule", "greedy": "greedy"}
-"""Whose best learned policies are compared with, and its name in tables."""
+"""Whose best learned policies are to be ahead of, and its name in tables."""
+
+PLANNER = "planner"
+"""The kind that learned policies are compared with besides."""
 
 ORACLE = "oracle"
 """The kind that shows beside them what knowing the truth would be worth."""
 
 
-class Resamples(NamedTuple):
-    """Means and 95th percentiles [RESAMPLES] of bootstrap resamples; equal rows are equal episodes, so ratios of two
-    policies' are those of paired resamples."""
-
-    mean: np.ndarray
-    p95: np.ndarray
-
-
-def resample(values: np.ndarray, seed: int = 0) -> Resamples:
-    """Bootstrap resamples of one error of all episodes [e]; the same episodes for all errors of as many."""
-    rng, count = np.random.default_rng(seed), len(values)
-    rows = max(1, min(RESAMPLES, CHUNK // count))
-    mean, p95 = np.empty(RESAMPLES), np.empty(RESAMPLES)
-    for begin in range(0, RESAMPLES, rows):
-        part = slice(begin, min(begin + rows, RESAMPLES))
-        drawn = values[rng.integers(0, count, (part.stop - part.start, count))]
-        mean[part], p95[part] = drawn.mean(axis=1), np.percentile(drawn, 95.0, axis=1)
-    return Resamples(mean, p95)
-
-
-def interval(resamples: np.ndarray) -> list[float]:
-    """Percentile 95 % interval."""
-    low, high = np.percentile(resamples, [2.5, 97.5])
-    return [float(low), float(high)]
-
-
-def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, Outcomes], seed: int) -> dict[str, Any]:
+def standing(
+    scenario: Any,
+    field: Sequence[Contestant],
+    outcomes: Mapping[str, Outcomes],
+    seed: int,
+    goals: Sequence[Goal] = (),
+) -> dict[str, Any]:
     """The standing of policies on the same tapes, as plain data.
 
     Args:
@@ -60,12 +42,13 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
         field: who took part.
         outcomes: theirs, by name.
         seed: of the first episode.
+        goals: what learned policies are meant to reach.
     Returns:
         Policies' figures, "kind", intervals "ci95" of means beside them, "ratios" of means and 95th percentiles to the
         "reference" (the best fixed policy or rule by the "headline" error); the "best" policy of every kind by that
         error, and "best_by" every error ("metrics"; one that equals another in every episode is left out); "bound", the
-        least mean Cramér–Rao bound of any policy's geometry; "verdicts" on learned policies against the best rule and
-        the best greedy one.
+        least mean Cramér–Rao bound of any policy's geometry; "verdicts" on learned policies against the best rule, the
+        best greedy one and the best planner; "goals" of this course, and whether they are reached.
     """
     first = outcomes[field[0].name]
     policies, metrics, drawn = _figures(field, outcomes)
@@ -91,34 +74,64 @@ def standing(scenario: Any, field: Sequence[Contestant], outcomes: Mapping[str, 
         "best_by": best_by,
         "bound": _bound(policies, f"final_{first.score}_crlb_m"),
         "policies": policies,
-        "verdicts": _verdicts(policies, drawn, best_by),
+        "verdicts": _verdicts(policies, drawn, best_by, len(first.lost)),
+        "goals": _results(goals, policies, drawn, metrics, best_by, len(first.lost)),
     }
 
 
 def confirmed(
-    field: Sequence[Contestant], outcomes: Mapping[str, Outcomes], best_by: Mapping[str, Mapping[str, str]], seed: int
+    before: Mapping[str, Any],
+    field: Sequence[Contestant],
+    outcomes: Mapping[str, Outcomes],
+    seed: int,
+    goals: Sequence[Goal] = (),
 ) -> dict[str, Any]:
-    """What other episodes say than those that chose the best rule and the best greedy policy.
+    """A standing of which other episodes say more than those that chose the best rule and the best greedy policy.
 
     Args:
-        field: `finalists` of the first comparison.
+        before: the standing that chose them.
+        field: its `finalists`.
         outcomes: theirs, by name.
-        best_by: policy of every kind by every error, as the first comparison has it.
         seed: of the first of these episodes.
+        goals: as of `standing`.
     Returns:
-        Their number "episodes" and "seed", figures of "policies" and "verdicts".
+        The same, with "confirmation": these episodes' number "episodes" and "seed", and figures of "policies" with
+        "ratios" to the same reference. Verdicts and goals are those of these episodes, wherever whom they name was
+        flown in them.
     """
-    policies, _, drawn = _figures(field, outcomes)
-    verdicts = _verdicts(policies, drawn, best_by)
-    return {"episodes": len(outcomes[field[0].name].lost), "seed": seed, "policies": policies, "verdicts": verdicts}
+    policies, metrics, drawn = _figures(field, outcomes)
+    episodes, best_by = len(outcomes[field[0].name].lost), before["best_by"]
+    fresh = _verdicts(policies, drawn, best_by, episodes)
+    reached = _results(goals, policies, drawn, metrics, best_by, episodes)
+    for name, figures in policies.items():
+        figures["ratios"] = _ratios(policies, drawn, name, before["reference"], metrics)
+    return {
+        **before,
+        "confirmation": {"episodes": episodes, "seed": seed, "policies": policies},
+        "verdicts": _replaced(before["verdicts"], fresh, ("policy", "kind", "metric")),
+        "goals": _replaced(before["goals"], reached, ("policy", "goal")),
+    }
 
 
-def finalists(field: Sequence[Contestant], best_by: Mapping[str, Mapping[str, str]]) -> list[Contestant]:
-    """Everything learned and, by every error, the best rule, the best greedy policy and the best oracle.
+def _replaced(before: Sequence[Any], fresh: Sequence[Any], names: Sequence[str]) -> list[Any]:
+    """Entries, those replaced that have the same values of these names."""
+    newer = {tuple(each[name] for name in names): each for each in fresh}
+    return [newer.get(tuple(each[name] for name in names), each) for each in before]
 
-    Nobody where nothing learned takes part.
+
+def finalists(
+    field: Sequence[Contestant],
+    best_by: Mapping[str, Mapping[str, str]],
+    goals: Sequence[Goal] = (),
+    spared: Collection[str] = (),
+) -> list[Contestant]:
+    """Everything learned, whoever is best of its kind by any error, the reference geometry, and those that goals name.
+
+    Nobody where nothing learned takes part; no planner that is spared.
     """
-    named = {best.get(kind) for metric, best in best_by.items() if _judged(metric) for kind in (*BASES, ORACLE)}
+    named = {best.get(kind) for metric, best in best_by.items() if _judged(metric) for kind in (REFERENCE, *KINDS)}
+    named |= {name for goal in goals for name in goal.against} | {geometry_of([one.name for one in field])}
+    named -= {one.name for one in field if one.kind == PLANNER and one.name in spared}
     found = [one for one in field if one.kind == "learned" or one.name in named]
     return found if any(one.kind == "learned" for one in found) else []
 
@@ -128,6 +141,8 @@ def _figures(field: Sequence[Contestant], outcomes: Mapping[str, Outcomes]) -> t
     policies = {one.name: {"kind": one.kind, **figures_of(outcomes[one.name])} for one in field}
     metrics = _distinct(metrics_of({"score": outcomes[field[0].name].score, "policies": policies}), outcomes)
     drawn = {one.name: {name: resample(outcomes[one.name].samples[name]) for name in metrics} for one in field}
+    for one in field:
+        drawn[one.name][LOST] = resample(outcomes[one.name].lost.astype(float))
     return policies, metrics, drawn
 
 
@@ -187,22 +202,70 @@ def _judged(metric: str) -> bool:
     return metric.endswith("_error_m")
 
 
-def _verdicts(policies: Any, drawn: Any, best_by: Mapping[str, Mapping[str, str]]) -> list[dict[str, Any]]:
-    """Every learned policy against the best rule and the best greedy one, position or range error by error.
+def _verdicts(
+    policies: Any, drawn: Any, best_by: Mapping[str, Mapping[str, str]], episodes: int
+) -> list[dict[str, Any]]:
+    """Every learned policy against the best rule, the best greedy one and the best planner, error by error.
 
-    One is open where it is behind on the mean or not ahead on the 95th percentile. "oracle" is the ratio of the best
-    oracle in its place, None where there is none.
+    One is open where it is behind a rule or a greedy policy on the mean, or not ahead on the 95th percentile. "oracle"
+    is the ratio of the best oracle in its place, None where there is none.
     """
     found = []
-    for name in (name for name, figures in policies.items() if figures["kind"] == "learned"):
-        for kind in BASES:
-            for metric in (each for each in best_by if _judged(each) and kind in best_by[each]):
-                base, oracle = best_by[metric][kind], best_by[metric].get(ORACLE)
-                ratio = _ratio(policies, drawn, name, base, metric)
-                mean, p95 = (verdict(ratio[what]["ci95"]) for what in ("mean", "p95"))
-                found.append({
-                    "policy": name, "base": base, "kind": kind, "metric": metric, **ratio, "mean_verdict": mean,
-                    "p95_verdict": p95, "open": mean == "behind" or p95 != "ahead",
-                    "oracle": _ratio(policies, drawn, oracle, base, metric)["mean"] if oracle else None,
-                })  # fmt: skip
+    for name in _learned(policies):
+        for kind, metric, base in _opponents(best_by, policies):
+            oracle = best_by[metric].get(ORACLE)
+            ratio = _ratio(policies, drawn, name, base, metric)
+            mean, p95 = (verdict(ratio[what]["ci95"]) for what in ("mean", "p95"))
+            found.append({
+                "policy": name, "base": base, "kind": kind, "metric": metric, **ratio, "mean_verdict": mean,
+                "p95_verdict": p95, "open": kind in BASES and (mean == "behind" or p95 != "ahead"),
+                "oracle": _ratio(policies, drawn, oracle, base, metric)["mean"] if oracle else None,
+                "episodes": episodes,
+            })  # fmt: skip
     return found
+
+
+def _learned(policies: Mapping[str, Any]) -> list[str]:
+    return [name for name, figures in policies.items() if figures["kind"] == "learned"]
+
+
+def _opponents(best_by: Mapping[str, Mapping[str, str]], policies: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """(kind, error, policy) of whoever is best by an error of the position or range, and was flown."""
+    for kind in (*BASES, PLANNER):
+        for metric, best in best_by.items():
+            if _judged(metric) and best.get(kind) in policies:
+                yield kind, metric, best[kind]
+
+
+def _results(
+    goals: Sequence[Goal], policies: Any, drawn: Any, metrics: Mapping[str, str], best_by: Any, episodes: int
+) -> list[dict[str, Any]]:
+    """What learned policies reach of goals, wherever all that a goal names were flown."""
+    by_words, found = {words: metric for metric, words in metrics.items()} | {LOST: LOST}, []
+    for name in _learned(policies):
+        for number, goal in enumerate(goals):
+            metric = by_words[goal.error]
+            named = goal.against or (best_by[metric][REFERENCE],)
+            if not policies.keys() >= set(named):
+                continue
+            base = min(named, key=lambda each: _mean(policies[each], metric))
+            ratio = _reached(goal, policies, drawn, name, base, metric)
+            found.append({
+                "policy": name, "goal": number, **goal._asdict(), "base": base, **ratio, "episodes": episodes,
+                "met": ratio["ci95"][1] <= goal.most if goal.what == "high" else ratio["ratio"] <= goal.most,
+            })  # fmt: skip
+    return found
+
+
+def _reached(goal: Goal, policies: Any, drawn: Any, name: str, base: str, metric: str) -> dict[str, Any]:
+    """The ratio that a goal is about, with its interval."""
+    if metric != LOST:
+        return _ratio(policies, drawn, name, base, metric)["p95" if goal.what == "p95" else "mean"]
+    ours, other = (drawn[each][LOST].mean for each in (name, base))
+    least = 1.0 / RESAMPLES  # a resample may have lost none
+    ratio = _mean(policies[name], LOST) / max(_mean(policies[base], LOST), least)
+    return {"ratio": ratio, "ci95": interval(ours / np.maximum(other, least))}
+
+
+def _mean(figures: Mapping[str, Any], metric: str) -> float:
+    return figures["lost_share"] if metric == LOST else figures[metric]["mean"]

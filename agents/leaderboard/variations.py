@@ -36,6 +36,11 @@ def _angles(name: str) -> list[Variation]:
     ]
 
 
+def _range_sums(name: str) -> list[Variation]:
+    """Other noise of range sums than the 200 m of training."""
+    return [Variation(name, f"range sums of {std:g} m", {"range_sum_std_m": std}) for std in (100.0, 400.0)]
+
+
 def _horizons(name: str, *steps: int) -> list[Variation]:
     return [Variation(name, f"{count} steps", {"steps": count}) for count in steps]
 
@@ -92,20 +97,21 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("RadarPlacement", "angles of up to 4°", {"azimuth_std_max_deg": 4.0, "elevation_std_max_deg": 4.0}),
     *(Variation("RadarPlacement", f"{scans} scans", {"scans": scans}) for scans in (25, 100)),
     _flights("RadarPlacement"),
-    *_horizons("MobilePlacement", 40),
+    *_horizons("MobilePlacement", 40, 90),
+    Variation("MobilePlacement", "angles of up to 4°", {"azimuth_std_max_deg": 4.0, "elevation_std_max_deg": 4.0}),
     _flights("MobilePlacement"),
-    *(
-        Variation("PassiveRadar", f"range sums of {std:g} m", {"range_sum_std_m": std}) for std in (100.0, 400.0)
-    ),
-    *_horizons("PassiveRadar", 150),
+    *_range_sums("PassiveRadar"),
+    *_horizons("PassiveRadar", 150, 450),
     Variation("PassiveRadar", "six echoes in ten", {"echo_probability": 0.6}),
     Variation("PassiveRadar", "targets that turn", {"maneuvers": True}),
     _flights("PassiveRadar"),
-    *_horizons("PassiveRadarRetune", 150),
+    *_range_sums("PassiveRadarRetune"),
+    *_horizons("PassiveRadarRetune", 150, 450),
     Variation("PassiveRadarRetune", "retuning takes 2 s", {"retune_delay_s": 2.0}),
     Variation("PassiveRadarRetune", "targets that turn", {"maneuvers": True}),
     _flights("PassiveRadarRetune"),
-    *_horizons("MobileReceiver", 150),
+    *_range_sums("MobileReceiver"),
+    *_horizons("MobileReceiver", 150, 450),
     Variation("MobileReceiver", "targets that turn", {"maneuvers": True}),
     _flights("MobileReceiver"),
 )  # fmt: skip
