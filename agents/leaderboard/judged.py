@@ -109,7 +109,7 @@ def goals_part(data: Mapping[str, Any]) -> list[str]:
     note = (
         f"Ratios that learned policies were meant to stay below when the environments were made: "
         f"{sum(goal['met'] for _, _, goal in found)} of {len(found)} do. Where several policies were meant, the best "
-        "of them counts."
+        "of them counts. Goals of other scenarios than the registered ones are judged in the environments' documents."
     )
     head = ["environment", "targets", "policy", "error", "against", "at most", "ratio", "episodes", "reached"]
     rows = [_goal_row(*each) for each in found]
