@@ -844,7 +844,7 @@ def test_sentences_say_where_what_was_learned_is_behind(run):
     sections = {name: {"passive/X-v0": [*found, misfit]} for name in ("leaderboard", "trackers", "generalisation")}
     text = as_markdown({"about": about, "sections": sections})
     assert "With 3 trackers" in text
-    assert "ahead in 1, level in 0, behind in 2 (`X-v0` one 2.00, `X-v0` three 1.50); 1 do not fit" in text
+    assert "ahead in 1, level in 0, behind in 2 (`X-v0` one 2.00, `X-v0` three 1.50); 1 more show it" in text
     assert "Behind the best fixed policy or rule: one 2.00, three 1.50." in text
     assert "met other recorded flights in 25% of its training" in text
     sections["generalisation"] = {"passive/Y-v0": found[1:2]}

@@ -54,7 +54,7 @@ def _answer(data: Mapping[str, Any]) -> str:
     if not found:
         return ""
     misfits = sum(len(entry["unfit"]) for _, entry in standings_of(data, "trackers"))
-    fit = f"; {misfits} do not fit, for they see other numbers than were trained on" if misfits else ""
+    fit = f"; {misfits} more show it other numbers than it was trained on" if misfits else ""
     head = f"With {len(found)} trackers a learned policy is held against the best fixed policy or rule"
     return f"{head}: {_tally(found)}{fit}. "
 
