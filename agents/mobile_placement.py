@@ -23,7 +23,7 @@ from trackers.compiled import Blocks
 from trackers.converted_measurement import Layout
 from trackers.scan_fusion import ScanState
 
-BLOCK = 8
+BLOCK = 32
 """Episodes whose candidates are weighed in one go."""
 
 

@@ -66,8 +66,7 @@ def next_sensor(belief: PlacementBelief) -> np.ndarray:
 def layout_commands(rule: Rule, task: Task, sensors: int) -> np.ndarray:
     """Commands [e, n, 3] of a rule's whole layouts."""
     shape = (len(task.std), sensors)
-    azimuth, distance, height = (np.broadcast_to(part, shape).T for part in rule(task, sensors))
-    return np.stack([commands(*place, task) for place in zip(azimuth, distance, height, strict=True)], axis=1)
+    return commands(*(np.broadcast_to(part, shape) for part in rule(task, sensors)), task)
 
 
 # -- the paper's layouts and rules -------------------------------------------------------------------------------------
@@ -217,15 +216,14 @@ class Greedy:
 
 def commands_of(position: np.ndarray, task: Task) -> np.ndarray:
     """Commands [e, n, 3] that put sensors at positions [e, n, 3] m."""
-    seen = [seen_from_entry(position[:, i], task.entry_distance_m) for i in range(position.shape[1])]
-    return np.stack([commands(*place, task) for place in seen], axis=1) if seen else np.empty((len(position), 0, 3))
+    return commands(*seen_from_entry(position, task.entry_distance_m[:, None]), task)
 
 
 class Search(Planned):
     """Looks for the best layout of all sensors at once with `scipy.optimize`: what the others are measured by.
 
-    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best; episode after
-    episode, a good part of a second each.
+    Differential evolution, begun with all rules' layouts among others, then L-BFGS-B from the best; every episode by
+    itself, a good part of a second each.
 
     Args:
         scenario: what to act in.
@@ -240,12 +238,15 @@ class Search(Planned):
 
     def plan(self, task: Task) -> np.ndarray:
         """Commands [e, n, 3] of the best layouts found; every thread searches in episodes of its own."""
-        blocks = Blocks(len(task.std), block=len(task.std), smallest=1)
+        episodes = len(task.std)
+        if not episodes:
+            return np.empty((0, self._sensors, 3))
+        blocks = Blocks(episodes, block=episodes, smallest=1)
 
-        def search(part: slice) -> list[np.ndarray]:
+        def layouts(part: slice) -> list[np.ndarray]:
             return [self.search(task.rows(slice(i, i + 1))) for i in range(part.start, part.stop)]
 
-        return np.stack([layout for found in blocks.map(search, blocks.slices) for layout in found])
+        return np.stack([layout for found in blocks.map(layouts, blocks.slices) for layout in found])
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""

@@ -98,15 +98,17 @@ def positions(commands, task: Task):
 
 
 def commands(azimuth, distance, height, task: Task):
-    """Commands [e, 3] that put sensors at azimuths [rad], distances and heights [m], each [e] or a number.
+    """Commands [e, ..., 3] that put sensors at azimuths [rad], distances and heights [m], each [e, ...] or a number.
 
     What lies outside the limits goes to the nearest limit.
     """
-    near, far = task.distance_m[:, 0], task.distance_m[:, 1]
+    axes = max(map(np.ndim, (azimuth, distance, height)))
+    of_task = lambda part: np.reshape(part, (len(part), *(1,) * (axes - 1)))  # noqa: E731
+    near, far, high = (of_task(part) for part in (*task.distance_m.T, task.height_limit_m))
     along = (
-        _share(azimuth, task.azimuth_limit_rad),
+        _share(azimuth, of_task(task.azimuth_limit_rad)),
         _share(distance - 0.5 * (near + far), 0.5 * (far - near)),
-        _share(height - 0.5 * task.height_limit_m, 0.5 * task.height_limit_m),
+        _share(height - 0.5 * high, 0.5 * high),
     )
     return np.clip(np.stack(np.broadcast_arrays(*along), axis=-1), -1.0, 1.0)
 

@@ -42,9 +42,7 @@ class Velocities(Continuous):
         entry = belief.task.entry_distance_m[:, None]
         way = _turned(numbers * self._reach, course_of(belief), 1.0)
         goals = _across(belief.platforms[..., :3], way, entry, belief.task.distance_m[:, :1])
-        azimuth, distance, height = (part.T for part in seen_from_entry(goals, entry))
-        seen = zip(azimuth, distance, height, strict=True)
-        places = np.stack([commands(a, d, h, belief.task) for a, d, h in seen], axis=1)
+        places = commands(*seen_from_entry(goals, entry), belief.task)
         return np.where(belief.installed[:, None, None], places, numbers[..., ORDER]).reshape(len(values), -1)
 
     def encode(self, commands: np.ndarray, belief: MobileBelief | None = None) -> np.ndarray:
