@@ -12,13 +12,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.placement import BestRule, Planned, Rule, Search, commands_of, even, layout_commands, spaced
+from agents.placement import (
+    BestRule,
+    Planned,
+    Promise,
+    Rule,
+    Search,
+    commands_of,
+    even,
+    expected,
+    layout_commands,
+    spaced,
+)
 from agents.placement import tripod as static_tripod
 from agents.policy import Policy
 from passive_env.core import World
 from passive_env.mobile_sensors import accuracies
 from passive_env.mobile_simulation import MobileBelief, routes
-from passive_env.placement import COURSES, Task, entry_prior, positions, representative_courses
+from passive_env.placement import Task, entry_prior, positions, representative_courses
 from trackers.compiled import Blocks
 from trackers.converted_measurement import Layout
 from trackers.scan_fusion import ScanState
@@ -49,7 +60,7 @@ class Static:
         return layout_commands(self._rule, belief.task, self._sensors).reshape(len(belief.steps_left), -1)
 
 
-class StaticPromise:
+class StaticPromise(Promise):
     """Expected log of the position's standard deviation [m], averaged over an episode's scans, of static layouts.
 
     Args:
@@ -59,17 +70,20 @@ class StaticPromise:
     def __init__(self, scenario: Any):
         self._scenario, self._tracker = scenario, scenario.make_tracker()
 
-    def __call__(self, task: Task, layouts: np.ndarray) -> np.ndarray:
-        """[e, c] of candidate layouts, commands [e, c, n, 3]."""
+    def of(self, task: Task) -> Callable[[np.ndarray], np.ndarray]:
+        """[e, c] of candidate layouts, commands [e, c, n, 3], for one task."""
         s = self._scenario
         path = representative_courses(task, s.steps + 1, s.step_s)[:, :, None, 1:]
-        place = positions(layouts, task)[:, None, :, None]
-        n = place.shape[-2]
-        place = np.broadcast_to(place, (*place.shape[:3], s.steps, n, 3))
-        layout = Layout(place, accuracies(task, n)[:, None, None], s.ranging[:n])
-        state = self._tracker.initiate(entry_prior(task))
-        std = self._tracker.promise(_spread(state, 2), path, layout, s.step_s).position_std_m
-        return np.tensordot([weight for _, weight in COURSES], np.log(std).mean(-1), axes=(0, 1))
+        state = _spread(self._tracker.initiate(entry_prior(task)), 2)
+        std = accuracies(task, s.sensors)[:, None, None]
+
+        def promised(layouts: np.ndarray) -> np.ndarray:
+            place = positions(layouts, task)[:, None, :, None]
+            place = np.broadcast_to(place, (*place.shape[:3], s.steps, *place.shape[-2:]))
+            layout = Layout(place, std, s.ranging)
+            return expected(np.log(self._tracker.promise(state, path, layout, s.step_s).position_std_m).mean(-1))
+
+        return promised
 
 
 def _spread(state: Any, axes: int) -> ScanState:

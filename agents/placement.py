@@ -132,11 +132,23 @@ class Promise:
 
     def __call__(self, task: Task, layouts: np.ndarray) -> np.ndarray:
         """[e, c] of candidate layouts, commands [e, c, n, 3]; n may be less than the number of all sensors."""
+        return self.of(task)(layouts)
+
+    def of(self, task: Task) -> Callable[[np.ndarray], np.ndarray]:
+        """The same of layouts alone, for a search: what the task decides is worked out once."""
         scenario = self._scenario
         path = representative_courses(task, scenario.scans, scenario.step_s)[:, :, None]
-        layout = self._simulation.layout(positions(layouts, task)[:, None], task)
-        std = self._simulation.tracker.theoretical(path, layout).position_std_m[..., -1]
-        return np.tensordot([weight for _, weight in COURSES], np.log(std), axes=(0, 1))
+
+        def promised(layouts: np.ndarray) -> np.ndarray:
+            layout = self._simulation.layout(positions(layouts, task)[:, None], task)
+            return expected(np.log(self._simulation.tracker.theoretical(path, layout).position_std_m[..., -1]))
+
+        return promised
+
+
+def expected(value: np.ndarray) -> np.ndarray:
+    """Mean [e, c] over the representative courses, of values [e, 3, c]."""
+    return np.tensordot([weight for _, weight in COURSES], value, axes=(0, 1))
 
 
 class Planned(ABC):
@@ -250,14 +262,14 @@ class Search(Planned):
 
     def search(self, task: Task) -> np.ndarray:
         """Commands [n, 3] of the best layout found for a task (a batch of one)."""
-        size, rng = 3 * self._sensors, np.random.default_rng(self._seed)
+        size, rng, promise = 3 * self._sensors, np.random.default_rng(self._seed), self._promise.of(task)
         start: Any = rng.uniform(-1.0, 1.0, (self.PER_NUMBER * size, size))
         known = [layout_commands(rule, task, self._sensors).ravel() for rule in RULES]
         start[: len(known)] = known
 
         def promised(x: np.ndarray) -> np.ndarray:
             """[c] of numbers [3 n, c]."""
-            return self._promise(task, x.T.reshape(1, -1, self._sensors, 3))[0]
+            return promise(x.T.reshape(1, -1, self._sensors, 3))[0]
 
         found = differential_evolution(
             promised, [(-1.0, 1.0)] * size, maxiter=self.GENERATIONS, init=start, polish=False, vectorized=True,

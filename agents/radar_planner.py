@@ -48,21 +48,34 @@ def _give_up(P, rows, var, blocked, member, wait, delay, threshold, d):
             member[m] = best
 
 
-@kernel("(y,y),(h,d),(h,d),(n,d),(n),(n),(s,h,n,r),(c,k),(l),(w)->(c)", "FFFFFFFIFFF")
-def _imagine(P, path, receivers, sites, wait, blocked, uniforms, combinations, limits, noise, cost):
-    (h, d), n, k, T = path.shape, sites.shape[0], combinations.shape[1], limits[0]
+@helper
+def _would_answer(uniforms, blocked, to_blocked, to_clear, echo):
+    """Whose echoes would come, [s, h, n], whoever is listened to: nobody's choice blocks anybody."""
+    answers = np.empty(uniforms.shape[:3], dtype=np.bool_)
+    for s in range(answers.shape[0]):
+        for i in range(answers.shape[2]):
+            share = blocked[i]
+            for j in range(answers.shape[1]):
+                hidden = uniforms[s, j, i, 0] < share
+                answers[s, j, i] = not hidden and uniforms[s, j, i, 1] < echo
+                share = 1.0 - to_clear if hidden else to_blocked
+    return answers
+
+
+@helper
+def _imagine_in(d, P, path, receivers, sites, wait, blocked, uniforms, combinations, limits, noise, cost):
+    h, n, k, T = path.shape[0], sites.shape[0], combinations.shape[1], limits[0]
     echo, to_blocked, to_clear, delay, threshold = limits[4], limits[5], limits[6], limits[7], limits[8]
     rows, var, x = np.empty((h, n, d)), np.empty((h, n)), np.zeros((2, 2 * d))
-    now, trial, member = np.empty((3, n)), np.empty((2 * d, 2 * d)), np.empty(k, dtype=np.int64)
-    belief, left, hidden = now[0], now[1], now[2]
+    now, trial, member = np.empty((2, n)), np.empty((2 * d, 2 * d)), np.empty(k, dtype=np.int64)
+    belief, left = now[0], now[1]
+    answers = _would_answer(uniforms, blocked, to_blocked, to_clear, echo)
     for j in range(h):
         lay_out(path[j], receivers[j], sites, limits, rows[j], var[j], d)
     for c in range(combinations.shape[0]):
         cost[c] = 0.0
         for s in range(uniforms.shape[0]):
             trial[:], belief[:], left[:], member[:] = P, blocked, delay, combinations[c]
-            for i in range(n):
-                hidden[i] = 1.0 if uniforms[s, 0, i, 0] < blocked[i] else 0.0
             for m in range(k):
                 left[member[m]] = wait[member[m]]
             for j in range(h):
@@ -70,19 +83,24 @@ def _imagine(P, path, receivers, sites, wait, blocked, uniforms, combinations, l
                 add_axis_noise(trial, T, noise, 1.0, d)
                 if j > 0:
                     for i in range(n):
-                        stays = 1.0 - to_clear if hidden[i] > 0.0 else to_blocked
-                        hidden[i] = 1.0 if uniforms[s, j, i, 0] < stays else 0.0
                         belief[i] = predict_blocked(belief[i], to_blocked, to_clear)
                     _give_up(trial, rows[j], var[j], belief, member, left, delay, threshold, d)
                 for m in range(k):
                     i = member[m]
                     left[i] = max(left[i] - T, 0.0)
                     if left[i] < 1e-6 * T:
-                        heard = hidden[i] == 0.0 and uniforms[s, j, i, 1] < echo
-                        if heard:
+                        if answers[s, j, i]:
                             absorb_sum(trial, rows[j, i], var[j, i], x[1], d, 2 * d)
-                        belief[i] = update_blocked(belief[i], heard, 1.0 - echo)
+                        belief[i] = update_blocked(belief[i], answers[s, j, i], 1.0 - echo)
                 cost[c] += criterion_of(trial, d, 1) / (h * uniforms.shape[0])
+
+
+@kernel("(y,y),(h,d),(h,d),(n,d),(n),(n),(s,h,n,r),(c,k),(l),(w)->(c)", "FFFFFFFIFFF")
+def _imagine(P, path, receivers, sites, wait, blocked, uniforms, combinations, limits, noise, cost):
+    if path.shape[1] == 2:  # a number that the compiler knows halves the time
+        _imagine_in(2, P, path, receivers, sites, wait, blocked, uniforms, combinations, limits, noise, cost)
+    else:
+        _imagine_in(3, P, path, receivers, sites, wait, blocked, uniforms, combinations, limits, noise, cost)
 
 
 class Planner(Selection):
