@@ -459,14 +459,22 @@ def test_a_learned_policy_is_judged_against_whoever_is_best_at_that_very_error()
         ("mean_range_error_m", "planner"): ("p", pytest.approx(0.75)),
     }
     assert [each["open"] for each in found["verdicts"]] == [True] * 4 + [False] * 2  # planners decide nothing
-    best_by = found["best_by"]
     names = ["ends_well", "starts_well", "l", "g", "h", "o", "p"]
-    assert [one.name for one in finalists(field, best_by)] == names
-    assert [one.name for one in finalists(field, best_by, spared=("p", "g"))] == names[:-1]
+    assert [one.name for one in finalists(found, field)] == names
+    assert [one.name for one in finalists(found, field, spared=("p", "g"))] == names[:-1]
     others = [Contestant(name, "rule", lambda scenario: None) for name in ("straight", "open", "hold")]
     goals = (Goal(DRAWN, "final", 1.0, ("open", "ends_well")),)
-    assert [one.name for one in finalists([*field, *others], best_by, goals)] == [*names, "straight", "open"]
-    assert not finalists(field[:2], standing(SHORT, field[:2], flown, 0)["best_by"])  # nobody learned: nothing to judge
+    assert [one.name for one in finalists(found, [*field, *others], goals)] == [*names, "straight", "open"]
+    assert not finalists(standing(SHORT, field[:2], flown, 0), field[:2])  # nobody learned: nothing to judge
+
+
+def test_a_spared_planner_flies_again_if_ratios_are_to_it():
+    """For want of a fixed policy or rule."""
+    base = np.random.default_rng(5).uniform(1.0, 2.0, 50)
+    field, flown = two_errors(planner__p=(base, base), learned__l=(2.0 * base, 2.0 * base))
+    before = standing(SHORT, field, flown, 0)
+    assert before["reference"] == "p"
+    assert [one.name for one in finalists(before, field, spared=("p",))] == ["p", "l"]
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
@@ -757,14 +765,14 @@ def test_costly_planners_are_not_confirmed_but_judged_on_the_first_episodes(run,
     monkeypatch.setattr("agents.leaderboard.learned_policies", model_stand_in)
     monkeypatch.setattr("agents.leaderboard.COSTLY", {"passive/TwoStation-v0": ("planner",)})
     names = ("rule", "greedy", "planner", "learned")
-    data = leaderboard(
-        ("TwoStation",), names, episodes=EPISODES, seed=SEED, confirm=2 * EPISODES, flights=False, out=tmp_path,
+    data = leaderboard(  # as many further episodes: only seeds tell them apart
+        ("TwoStation",), names, episodes=EPISODES, seed=SEED, confirm=EPISODES, flights=False, out=tmp_path,
         fields={"steps": STEPS}, progress=False,
     )  # fmt: skip
     ((_, entry),) = entries(data)
     assert entry["confirmation"]["policies"].keys() == {"rule", "greedy", "learned"}
-    episodes = {each["kind"]: each["episodes"] for each in entry["verdicts"]}
-    assert episodes == {"reference": 2 * EPISODES, "greedy": 2 * EPISODES, "planner": EPISODES}
+    seeds = {each["kind"]: each["seed"] for each in entry["verdicts"]}
+    assert seeds == {"reference": SEED + EPISODES, "greedy": SEED + EPISODES, "planner": SEED}
     head, row = tables(as_markdown(data))[0]
     shown = dict(zip(head, row, strict=True))
     assert shown["planner"].endswith("*")
@@ -774,7 +782,10 @@ def test_costly_planners_are_not_confirmed_but_judged_on_the_first_episodes(run,
         rows = list(csv.DictReader(file))
     seeds = {row["base_kind"]: (int(row["seed"]), int(row["episodes"])) for row in rows}
     assert seeds["planner"] == (SEED, EPISODES)
-    assert seeds["greedy"] == (SEED + EPISODES, 2 * EPISODES)
+    assert seeds["greedy"] == (SEED + EPISODES, EPISODES)
+    (axes,) = overview(data["sections"]["leaderboard"]).axes
+    hollow = {line.get_label() for line in axes.lines if line.get_markerfacecolor() == "white"}
+    assert hollow == {"planner, first episodes"}
 
 
 def goal_results(goals, **pairs):
@@ -804,6 +815,13 @@ def test_goals_are_reached_or_not_by_the_figure_they_are_about():
     assert found[5]["ci95"][0] < found[5]["ratio"] < found[5]["ci95"][1]
 
 
+def test_goals_about_what_was_not_flown_are_left_out():
+    """No fixed policy or rule, or no episode with such an error."""
+    base = np.random.default_rng(6).uniform(1.0, 2.0, 60)
+    goals = (Goal(DRAWN, "final", 1.0), Goal(DRAWN, "while maneuvering", 1.0, ("g",)))
+    assert goal_results(goals, greedy__g=(base, base), learned__l=(base, base)) == []
+
+
 def test_a_goal_of_lost_tracks_compares_shares():
     base = np.full(40, 1.0)
     field, flown = two_errors(rule__r=(base, base), learned__l=(base, base))
@@ -813,6 +831,10 @@ def test_a_goal_of_lost_tracks_compares_shares():
     assert found["ratio"] == pytest.approx(0.75)
     assert found["met"]
     assert np.isfinite(found["ci95"]).all()
+    flown["r"].lost[:] = 0.0
+    (found,) = standing(SHORT, field, flown, 0, (Goal(DRAWN, LOST, 1.0, ("r",)),))["goals"]
+    assert found["ratio"] == pytest.approx(3.0)  # one lost counts where none is
+    assert not found["met"]
 
 
 def test_goals_name_errors_and_policies_that_there_are():
@@ -822,7 +844,25 @@ def test_goals_name_errors_and_policies_that_there_are():
             assert goal.course in (DRAWN, RECORDED)
             assert goal.what in ("mean", "p95", "high")
             assert set(goal.against) <= set(policy_names(scenario))
+        flown = fly(scenario, make_policy("rule", scenario), EPISODES, SEED).outcomes
+        words = standing(scenario, [by_name("rule")], {"rule": flown}, SEED)["metrics"].values()
+        assert {goal.error for goal in goals} <= {*words, LOST}
     assert set(GOALS) == set(environment_ids())
+
+
+@pytest.mark.parametrize(
+    ("name", "policies", "goals"),
+    [
+        ("AngleFusionSlow", ("rule", "greedy", "pretrained"), ["rule", "greedy"]),
+        ("AngleFusionSlow", ("greedy", "pretrained"), ["greedy"]),  # none can be held against the best rule
+        ("RadarPlacement", ("optimizer", "pretrained"), ["optimizer"]),  # spared, but the reference
+    ],
+)
+def test_goals_of_registered_environments_are_judged_on_further_episodes(name, policies, goals, tmp_path):
+    data = leaderboard((name,), policies, episodes=3, confirm=2, seed=SEED, flights=False, out=tmp_path, progress=False)
+    ((_, entry),) = entries(data)
+    assert [(each["base"], each["episodes"]) for each in entry["goals"]] == [(base, 2) for base in goals]
+    assert "## What was meant to be reached" in (tmp_path / "leaderboard.md").read_text()
 
 
 def test_the_committed_page_has_every_goal():
@@ -834,23 +874,24 @@ def test_the_committed_page_has_every_goal():
 
 def test_sentences_say_where_what_was_learned_is_behind(run):
     base = np.random.default_rng(8).uniform(1.0, 2.0, 50)
-    factors = {"one": 2.0, "two": 0.5, "three": 1.5}
+    factors = {"own": 3.0, "one": 2.0, "two": 0.5, "three": 1.5, "as one": 2.0, "as own": 3.0}
     found = [
-        table_of(rule__r=base, learned__pretrained=factor * base) | {"title": title, "unfit": {}}
+        table_of(rule__r=base, learned__pretrained=factor * base) | {"title": title, "tracker": title, "unfit": {}}
         for title, factor in factors.items()
     ]
     misfit = table_of(rule__r=base) | {"title": "four", "unfit": {"pretrained": "other observations"}}
     about = run[1]["about"] | {"trained_on_flights": {"passive/X-v0": 0.25}}
     sections = {name: {"passive/X-v0": [*found, misfit]} for name in ("leaderboard", "trackers", "generalisation")}
     text = as_markdown({"about": about, "sections": sections})
-    assert "With 3 trackers" in text
     assert "ahead in 1, level in 0, behind in 2 (`X-v0` one 2.00, `X-v0` three 1.50); 1 more show it" in text
-    assert "Behind the best fixed policy or rule: one 2.00, three 1.50." in text
-    assert "met other recorded flights in 25% of its training" in text
-    sections["generalisation"] = {"passive/Y-v0": found[1:2]}
-    text = as_markdown({"about": about, "sections": sections})
-    assert "Behind the best fixed policy or rule: nowhere." in text
-    assert "met other recorded flights" not in text
+    assert "Behind the best fixed policy or rule: own 3.00, one 2.00, three 1.50, as one 2.00, as own 3.00." in text
+    assert "`pretrained` met other recorded flights in 25 % of its training" in text
+    another = table_of(rule__r=base, learned__learned=0.5 * base) | {"title": "one", "unfit": {}}
+    for name, entry in (("X", another), ("Y", found[2])):  # a run of the user's; none of its training on flights
+        sections["generalisation"] = {f"passive/{name}-v0": [entry]}
+        text = as_markdown({"about": about, "sections": sections})
+        assert "Behind the best fixed policy or rule: nowhere." in text
+        assert "met other recorded flights" not in text
 
 
 def test_decision_times_are_the_least_of_all_flights():

@@ -143,7 +143,7 @@ def _finalists(table: Table, entry: Mapping[str, Any]) -> list[Contestant]:
     """Who flies once more; nobody but in the leaderboard itself."""
     if table.section != "leaderboard":
         return []
-    return finalists(table.field, entry["best_by"], table.goals, COSTLY.get(table.environment, ()))
+    return finalists(entry, table.field, table.goals, COSTLY.get(table.environment, ()))
 
 
 def _environments(envs: Sequence[str]) -> list[str]:

@@ -22,6 +22,7 @@ from agents.leaderboard.words import (
     short,
     standings_of,
 )
+from agents.pretrained import PRETRAINED
 from agents.report import percent
 
 CHOSEN_HERE = (
@@ -49,21 +50,32 @@ def tracker_part(data: Mapping[str, Any]) -> list[str]:
 
 
 def _answer(data: Mapping[str, Any]) -> str:
-    """How many trackers learned policies help, in a sentence; empty where nothing learned takes part."""
-    found = list(_compared(data, "trackers"))
+    """How many other trackers learned policies help, in a sentence; empty where nothing learned takes part."""
+    found = list(_other_trackers(data))
     if not found:
         return ""
     misfits = sum(len(entry["unfit"]) for _, entry in standings_of(data, "trackers"))
     fit = f"; {misfits} more show it other numbers than it was trained on" if misfits else ""
-    head = f"With {len(found)} trackers a learned policy is held against the best fixed policy or rule"
-    return f"{head}: {_tally(found)}{fit}. "
+    return (
+        "Against the best fixed policy or rule, with trackers other than the one that an environment is registered "
+        f"with (such as give the same figures count once), what was learned is {_tally(found)}{fit}. "
+    )
 
 
-def _compared(data: Mapping[str, Any], section: str) -> Iterator[tuple[str, Mapping[str, Any], Mapping[str, Any]]]:
-    """(environment, standing, verdict) by the error that ranks, against the best fixed policy or rule."""
-    for environment, entry in standings_of(data, section):
-        for each in headline_verdicts(entry, REFERENCE):
-            yield environment, entry, each
+def _other_trackers(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any], Mapping[str, Any]]]:
+    """(environment, standing, verdict) by the error that ranks, against the best fixed policy or rule.
+
+    Of trackers that are not the environment's own, and do not give the same figures as that one or one before.
+    """
+    for environment, entries in sections_of(data, "trackers").items():
+        own = sections_of(data, "leaderboard")[environment][0]["tracker"]
+        seen = []
+        for entry in sorted(entries, key=lambda each: each["tracker"] != own):
+            for each in headline_verdicts(entry, REFERENCE):
+                if (figures := (each["policy"], each["mean"])) not in seen:
+                    seen.append(figures)
+                    if entry["tracker"] != own:
+                        yield environment, entry, each
 
 
 def _tally(found: Sequence[tuple[str, Mapping[str, Any], Mapping[str, Any]]]) -> str:
@@ -98,7 +110,7 @@ def _left_out(data: Mapping[str, Any], section: str, kinds: Collection[str]) -> 
         for environment in sections_of(data, section)
     }
     named = "; ".join(f"{listed(names)} of {short(environment)}" for environment, names in costly.items() if names)
-    return f"Left out, for they search for a tenth of a second per episode or longer: {named}." if named else ""
+    return f"Left out, for they search longest: {named}." if named else ""
 
 
 def _honest(entry: Mapping[str, Any]) -> str:
@@ -153,15 +165,15 @@ def varied_part(data: Mapping[str, Any]) -> list[str]:
 
 def _circumstances(environment: str, entries: Sequence[Mapping[str, Any]], shares: Mapping[str, float]) -> str:
     """Where the learned policy is behind, and whether it was trained on flights; empty where nothing learned flies."""
-    found = [(environment, entry, each) for entry in entries for each in headline_verdicts(entry, REFERENCE)]
+    found = [(entry, each) for entry in entries for each in headline_verdicts(entry, REFERENCE)]
     if not found:
         return ""
     behind = [
-        f"{entry['title']} {each['mean']['ratio']:.2f}" for _, entry, each in found if each["mean_verdict"] == "behind"
+        f"{entry['title']} {each['mean']['ratio']:.2f}" for entry, each in found if each["mean_verdict"] == "behind"
     ]
     words = f"Behind the best fixed policy or rule: {', '.join(behind) or 'nowhere'}."
-    share = shares.get(environment)
-    trained = f" `pretrained` met other recorded flights in {share:.0%} of its training." if share else ""
+    share = shares.get(environment) if any(each["policy"] == PRETRAINED for _, each in found) else None
+    trained = f" `{PRETRAINED}` met other recorded flights in {100.0 * share:.0f} % of its training." if share else ""
     return words + trained
 
 

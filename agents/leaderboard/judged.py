@@ -55,8 +55,8 @@ def _verdict_note(confirm: int, count: int) -> str:
 
 
 _PLANNERS = (
-    "Planners weigh several decisions to come and take far longer over each. Those that search for a tenth of a second "
-    "per episode or longer are compared on the episodes above alone."
+    "Planners weigh several decisions to come and take far longer over each. Those that search longest, a fifth of a "
+    "second per episode and more, are compared on the episodes above alone."
 )
 
 
@@ -78,8 +78,8 @@ def open_part(data: Mapping[str, Any]) -> list[str]:
 
 
 _TRIED = (
-    "Trainings that were compared while choosing, on episodes of other seeds. What is packed did best there, so these "
-    "figures flatter it; those that judge it stand above."
+    "Trainings that were compared while choosing, on episodes of other seeds. Where what is packed did best there, "
+    "these figures flatter it; those that judge it stand above."
 )
 
 

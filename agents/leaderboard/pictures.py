@@ -46,7 +46,8 @@ def overview(sections: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     panels[0].set_ylim(len(sections) - 0.5, -0.5)
     shown = {label for axes in panels for label in axes.get_legend_handles_labels()[1]}
     samples = [_dot(kind) for kind in KINDS if kind in shown] + [_stroke(13.0)] * ("bound" in shown)
-    figure.legend(handles=samples, loc="outside lower center", ncols=7, frameon=False, labelcolor=INK)
+    samples += [_dot(kind, hollow=True) for kind in KINDS if _first(kind) in shown]
+    figure.legend(handles=samples, loc="outside lower center", ncols=len(samples), frameon=False, labelcolor=INK)
     return figure
 
 
@@ -70,12 +71,16 @@ def _panel(axes: Axes, title: str, entries: Mapping[str, Mapping[str, Any] | Non
 
 
 def _row(axes: Axes, row: int, entry: Mapping[str, Any]) -> None:
-    """Dots with intervals, one below another; the bound as an upright stroke where the final error is shown."""
+    """Dots with intervals, one below another; the bound as an upright stroke where the final error is shown.
+
+    Hollow are dots of the episodes on which the best were chosen, where others flew further ones.
+    """
     metric, kinds = entry["headline"], list(entry["best"])
     places = row + SPREAD * (np.arange(len(kinds)) - 0.5 * (len(kinds) - 1)) / max(len(KINDS) - 1, 1)
     for kind, place in zip(kinds, places, strict=True):
-        ratio = ratios_of(entry, entry["best"][kind])[0]["mean"]
-        if _put(axes, _dot(kind), ratio["ratio"], place, COLORS[kind]):
+        ratios, again = ratios_of(entry, entry["best"][kind])
+        ratio, hollow = ratios["mean"], "confirmation" in entry and not again
+        if _put(axes, _dot(kind, hollow), ratio["ratio"], place, COLORS[kind]):
             axes.hlines(place, *ratio["ci95"], color=COLORS[kind], linewidth=1.6, zorder=3)
     if metric.startswith("final"):
         share = entry["bound"]["mean"] / entry["policies"][entry["reference"]][metric]["mean"]
@@ -100,10 +105,16 @@ def _note_at_edge(axes: Axes, ratio: float, edge: float, place: float, color: st
     )  # fmt: skip
 
 
-def _dot(kind: str) -> Line2D:
+def _first(kind: str) -> str:
+    """The name of a kind's hollow dots."""
+    return f"{kind}, first episodes"
+
+
+def _dot(kind: str, hollow: bool = False) -> Line2D:
+    edge = {"markerfacecolor": "white", "markeredgewidth": 1.4} if hollow else {"markeredgecolor": "white"}
     return Line2D(
-        [], [], linestyle="", marker=MARKERS[kind], color=COLORS[kind], label=kind, zorder=4, markeredgecolor="white",
-        markersize=8.0 if kind == "oracle" else 6.0, markeredgewidth=0.6,
+        [], [], linestyle="", marker=MARKERS[kind], color=COLORS[kind], label=_first(kind) if hollow else kind,
+        zorder=4, markersize=8.0 if kind == "oracle" else 6.0, **{"markeredgewidth": 0.6, **edge},
     )  # fmt: skip
 
 

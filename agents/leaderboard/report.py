@@ -79,10 +79,8 @@ def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _verdict_cells(environment: str, entry: Mapping[str, Any], each: Mapping[str, Any]) -> dict[str, Any]:
-    again = entry.get("confirmation", {}).get("episodes") == each["episodes"]
-    seed = entry["confirmation"]["seed"] if again else entry["seed"]
     row = {
-        "environment": environment, "title": entry["title"], "episodes": each["episodes"], "seed": seed,
+        "environment": environment, "title": entry["title"], "episodes": each["episodes"], "seed": each["seed"],
         "policy": each["policy"], "metric": each["metric"], "base": each["base"], "base_kind": KIND_WORDS[each["kind"]],
     }  # fmt: skip
     for what in ("mean", "p95", "oracle"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -10,6 +11,8 @@ import numpy as np
 from agents.comparison import RESAMPLES
 
 PERCENTILE = 95.0
+MOST_NUMBERS = 4_000_000
+"""Counts that are multiplied at a time, 32 MB."""
 
 
 class Resamples(NamedTuple):
@@ -22,8 +25,15 @@ class Resamples(NamedTuple):
 
 def resample(values: np.ndarray, seed: int = 0) -> Resamples:
     """Bootstrap resamples of one error of all episodes [e]; the same episodes for all errors of as many."""
-    counts = _counts(len(values), seed)
-    return Resamples(counts @ values / len(values), _percentiles(counts, values))
+    parts = [(part @ values / len(values), _percentiles(part, values)) for part in _parts(_counts(len(values), seed))]
+    return Resamples(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+def _parts(counts: np.ndarray) -> Iterator[np.ndarray]:
+    """Counts as real numbers, which multiply faster, not more at a time than memory easily holds."""
+    rows = max(1, MOST_NUMBERS // counts.shape[1])
+    for begin in range(0, len(counts), rows):
+        yield counts[begin : begin + rows].astype(float)
 
 
 def interval(resamples: np.ndarray) -> list[float]:
@@ -34,9 +44,9 @@ def interval(resamples: np.ndarray) -> list[float]:
 
 @lru_cache(maxsize=4)
 def _counts(episodes: int, seed: int) -> np.ndarray:
-    """How often every episode is drawn, [RESAMPLES, e]; real numbers, which multiply fastest."""
+    """How often every episode is drawn, [RESAMPLES, e]; never a hundred times, so a byte will do."""
     rng = np.random.default_rng(seed)
-    counts = np.empty((RESAMPLES, episodes))
+    counts = np.empty((RESAMPLES, episodes), dtype=np.uint8)
     for row in counts:
         row[:] = np.bincount(rng.integers(0, episodes, episodes), minlength=episodes)
     counts.flags.writeable = False  # all callers share it

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.comparison import RESAMPLES, figures_of
+from agents.comparison import figures_of
 from agents.leaderboard.contestants import KINDS, Contestant, geometry_of
 from agents.leaderboard.goals import LOST, Goal
 from agents.leaderboard.resamples import interval, resample
@@ -74,7 +74,7 @@ def standing(
         "best_by": best_by,
         "bound": _bound(policies, f"final_{first.score}_crlb_m"),
         "policies": policies,
-        "verdicts": _verdicts(policies, drawn, best_by, len(first.lost)),
+        "verdicts": _verdicts(policies, drawn, best_by, len(first.lost), seed),
         "goals": _results(goals, policies, drawn, metrics, best_by, len(first.lost)),
     }
 
@@ -101,7 +101,7 @@ def confirmed(
     """
     policies, metrics, drawn = _figures(field, outcomes)
     episodes, best_by = len(outcomes[field[0].name].lost), before["best_by"]
-    fresh = _verdicts(policies, drawn, best_by, episodes)
+    fresh = _verdicts(policies, drawn, best_by, episodes, seed)
     reached = _results(goals, policies, drawn, metrics, best_by, episodes)
     for name, figures in policies.items():
         figures["ratios"] = _ratios(policies, drawn, name, before["reference"], metrics)
@@ -120,18 +120,20 @@ def _replaced(before: Sequence[Any], fresh: Sequence[Any], names: Sequence[str])
 
 
 def finalists(
+    before: Mapping[str, Any],
     field: Sequence[Contestant],
-    best_by: Mapping[str, Mapping[str, str]],
     goals: Sequence[Goal] = (),
     spared: Collection[str] = (),
 ) -> list[Contestant]:
     """Everything learned, whoever is best of its kind by any error, the reference geometry, and those that goals name.
 
-    Nobody where nothing learned takes part; no planner that is spared.
+    Nobody where nothing learned takes part; no planner that is spared, unless ratios of `before` are to it.
     """
+    best_by = before["best_by"]
     named = {best.get(kind) for metric, best in best_by.items() if _judged(metric) for kind in (REFERENCE, *KINDS)}
     named |= {name for goal in goals for name in goal.against} | {geometry_of([one.name for one in field])}
     named -= {one.name for one in field if one.kind == PLANNER and one.name in spared}
+    named.add(before["reference"])
     found = [one for one in field if one.kind == "learned" or one.name in named]
     return found if any(one.kind == "learned" for one in found) else []
 
@@ -171,7 +173,7 @@ def _best_of_kinds(policies: Mapping[str, Any], metric: str) -> dict[str, str]:
 
 
 def _least(names: Sequence[str], policies: Mapping[str, Any], metric: str) -> str:
-    return min(names, key=lambda name: policies[name][metric]["mean"])
+    return min(names, key=lambda name: _mean(policies[name], metric))
 
 
 def _bound(policies: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -203,7 +205,7 @@ def _judged(metric: str) -> bool:
 
 
 def _verdicts(
-    policies: Any, drawn: Any, best_by: Mapping[str, Mapping[str, str]], episodes: int
+    policies: Any, drawn: Any, best_by: Mapping[str, Mapping[str, str]], episodes: int, seed: int
 ) -> list[dict[str, Any]]:
     """Every learned policy against the best rule, the best greedy one and the best planner, error by error.
 
@@ -220,7 +222,7 @@ def _verdicts(
                 "policy": name, "base": base, "kind": kind, "metric": metric, **ratio, "mean_verdict": mean,
                 "p95_verdict": p95, "open": kind in BASES and (mean == "behind" or p95 != "ahead"),
                 "oracle": _ratio(policies, drawn, oracle, base, metric)["mean"] if oracle else None,
-                "episodes": episodes,
+                "episodes": episodes, "seed": seed,
             })  # fmt: skip
     return found
 
@@ -240,16 +242,16 @@ def _opponents(best_by: Mapping[str, Mapping[str, str]], policies: Mapping[str, 
 def _results(
     goals: Sequence[Goal], policies: Any, drawn: Any, metrics: Mapping[str, str], best_by: Any, episodes: int
 ) -> list[dict[str, Any]]:
-    """What learned policies reach of goals, wherever all that a goal names were flown."""
+    """What learned policies reach of goals, wherever its error was met and all that it names were flown."""
     by_words, found = {words: metric for metric, words in metrics.items()} | {LOST: LOST}, []
     for name in _learned(policies):
         for number, goal in enumerate(goals):
-            metric = by_words[goal.error]
-            named = goal.against or (best_by[metric][REFERENCE],)
-            if not policies.keys() >= set(named):
+            metric = by_words.get(goal.error)
+            named = goal.against or (best_by.get(metric, {}).get(REFERENCE),)
+            if metric is None or not policies.keys() >= set(named):
                 continue
-            base = min(named, key=lambda each: _mean(policies[each], metric))
-            ratio = _reached(goal, policies, drawn, name, base, metric)
+            base = _least(named, policies, metric)
+            ratio = _reached(goal, policies, drawn, name, base, metric, episodes)
             found.append({
                 "policy": name, "goal": number, **goal._asdict(), "base": base, **ratio, "episodes": episodes,
                 "met": ratio["ci95"][1] <= goal.most if goal.what == "high" else ratio["ratio"] <= goal.most,
@@ -257,12 +259,12 @@ def _results(
     return found
 
 
-def _reached(goal: Goal, policies: Any, drawn: Any, name: str, base: str, metric: str) -> dict[str, Any]:
+def _reached(goal: Goal, policies: Any, drawn: Any, name: str, base: str, metric: str, episodes: int) -> dict[str, Any]:
     """The ratio that a goal is about, with its interval."""
     if metric != LOST:
         return _ratio(policies, drawn, name, base, metric)["p95" if goal.what == "p95" else "mean"]
     ours, other = (drawn[each][LOST].mean for each in (name, base))
-    least = 1.0 / RESAMPLES  # a resample may have lost none
+    least = 1.0 / episodes  # a resample may have lost none: it counts as one
     ratio = _mean(policies[name], LOST) / max(_mean(policies[base], LOST), least)
     return {"ratio": ratio, "ci95": interval(ours / np.maximum(other, least))}
 

@@ -43,7 +43,11 @@ TRIED: dict[str, Tried] = {
             ("packed", "1.056 [0.938, 1.190]"),
             ("twice the steps, a quarter of the targets recorded", "1.038 [0.920, 1.170]"),
         ),
-        "Few flights with errors of ten kilometres decide the mean.",
+        "Few flights with errors of ten kilometres decide the mean. On drawn courses (docs/ownship.md, 10,000 "
+        "episodes) five seeds have 0.861 to 0.882 of the final error of `rule` and 0.792 to 0.798 of the time average "
+        "of `rule_average`, the planner 0.886 and 0.817. A critic that sees the belief only, the three heaviest "
+        "hypotheses in the observation, the time average as only reward, a recurrent network, SAC and learning without "
+        "a teacher did worse.",
     ),
     "passive/OwnshipManeuvering-v0": Tried(
         "Ratios of the final error to that of `rule`.",
@@ -71,7 +75,7 @@ TRIED: dict[str, Tried] = {
             ("greedy imitated first, half the final error's weight", "1.011", "1.014", "0.996", "0.996"),
             ("no teacher, half the final error's weight, twice the mean error's", "1.007", "1.010", "1.004", "1.003"),
         ),
-        "What is gained at one is paid at the other; the planner itself is 0.3 % behind greedy's time average.",
+        "What is gained at one is paid at the other: the planner itself is no better than greedy on the time average.",
     ),
     "passive/AngleFusionClutter-v0": Tried(
         "Ratios of the time average to that of `rule`, the same 2,000 episodes.",
