@@ -108,6 +108,10 @@ def _differences(then: Mapping[str, Any], now: Mapping[str, Any], within: str = 
     return found
 
 
+_STRONGEST = {"rule": "the strongest fixed policy or rule", "greedy": "the strongest greedy one"}
+"""Groups of policies that a learned one is compared with, in words."""
+
+
 def _numbers(record: Mapping[str, Any]) -> list[str]:
     compared, kept = record["comparison"], record["recorded"]
     score = compared["score"]
@@ -115,6 +119,7 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
         f"{' and '.join(compared['strongest'][f'{when}_{score}_error_m'].values())} by the {words} error"
         for when, words in METRICS.items()
     )
+    groups = [_STRONGEST[group] for group in compared["strongest"][f"final_{score}_error_m"]]
     figures = [[name, *_figures(each, score)] for name, each in compared["policies"].items()]
     ratios = [
         [f"learned / {name}", *(_ratio(each[f"{when}_{score}_error_m"]) for when in ("final", "mean"))]
@@ -125,8 +130,7 @@ def _numbers(record: Mapping[str, Any]) -> list[str]:
     ]
     return [
         f"{score.capitalize()} error in metres over {compared['episodes']} paired episodes from seed "
-        f"{compared['seed']}, beside the strongest fixed policy or rule and the strongest greedy one: "
-        f"{', '.join(strongest)}.",
+        f"{compared['seed']}, beside {' and '.join(groups)}: {', '.join(strongest)}.",
         markdown_table(["policy", "final mean", "p95", "time average", "lost", "µs/decision"], figures),
         markdown_table(["ratio of means, 95 % interval", "final", "time average"], ratios),
         f"What a test flies again: {kept['episodes']} episodes from seed {kept['seed']}, means with bootstrap 95 % "

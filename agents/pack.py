@@ -2,7 +2,7 @@
 
 The packed policy is compared with the run's model action by action, flown beside the environment's fixed policies,
 rules and greedy ones, and once more through the episodes of the record, which a test repeats. File, card and record are
-put in place together, when all of that is done.
+put in place one right after another, when all of that is done.
 
 ``python -m agents.pack FILE.npz …`` flies packed policies again: it writes their records and cards anew, and leaves the
 files as they are.
@@ -14,7 +14,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -85,7 +85,9 @@ def pack(
     environment, fields = config["environment"], config.get("fields", {})
     scenario = make_scenario(scenario_name(environment), fields)
     learned = LearnedPolicy(run, environment, scenario.make_simulation())
-    summary = None if evaluation is None else _take_evaluation(evaluation, environment, fields, scenario, learned)
+    summary = None
+    if evaluation is not None:
+        summary = _take_evaluation(evaluation, environment, fields, scenario, learned, progress)
     description = describe_run(run, config)
     with _in_place_of(out) as draft:
         write_packed(draft, *description)
@@ -122,7 +124,7 @@ def measure(file: Path, episodes: int = EPISODES, seed: int = SEED, progress: bo
 def _in_place_of(out: Path) -> Iterator[Path]:
     """A file's name in a folder beside it: what is in that folder at the end replaces what is beside `out`.
 
-    If anything fails before, nothing does.
+    If anything fails before, nothing does. Files are moved one by one, within one folder.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{out.stem}.", dir=out.parent) as folder:
@@ -176,7 +178,7 @@ def recorded(record: Record, seed: int, scenario: Any) -> dict[str, Any]:
         name: {"mean": float(values.mean()), "ci95": mean_interval(values), "p95": float(np.percentile(values, 95.0))}
         for name, values in record.samples.items()
     }
-    each = {f"final_{record.score}_error_m": record.final, f"mean_{record.score}_error_m": record.mean}
+    each = dict(zip(_errors(record.score), (record.final, record.mean), strict=True))
     return {
         "seed": seed,
         "episodes": len(record.final),
@@ -229,12 +231,14 @@ class Both:
 
 
 def _compare(
-    environment: str, scenario: Any, packed: ActorPolicy, episodes: int, seed: int, progress: bool
-) -> dict[str, Any]:
-    """Evaluation of the packed policy beside the strongest of those kinds in `AGAINST`, after all have been flown."""
+    environment: str, scenario: Any, learned: ActorPolicy, episodes: int, seed: int, progress: bool,
+    names: Collection[str] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """Evaluation of a policy beside the strongest of those kinds in `AGAINST`, after these, or all, have been flown."""
     kinds = {kind for each in AGAINST.values() for kind in each}
-    policies = {one.name: one.make(scenario) for one in known_policies(scenario) if one.kind in kinds}
-    records = fly_all(scenario, {**policies, LEARNED: packed}, episodes, seed, progress)
+    known = [one for one in known_policies(scenario) if one.kind in kinds and (not names or one.name in names)]
+    policies = {one.name: one.make(scenario) for one in known}
+    records = fly_all(scenario, {**policies, LEARNED: learned}, episodes, seed, progress)
     figures = {name: figures_of(record.outcomes) for name, record in records.items()}
     best = _names(_strongest(figures, records[LEARNED].score))
     return summarize(environment, seed, {name: records[name] for name in (*best, LEARNED)}, best)
@@ -252,7 +256,7 @@ def _strongest(figures: Mapping[str, Any], score: str) -> dict[str, dict[str, st
         error: {
             group: min(names, key=lambda name: figures[name][error]["mean"]) for group, names in groups.items() if names
         }
-        for error in (f"final_{score}_error_m", f"mean_{score}_error_m")
+        for error in _errors(score)
     }
 
 
@@ -262,19 +266,20 @@ def _names(strongest: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def _take_evaluation(
-    file: Path, environment: str, fields: Mapping[str, Any], scenario: Any, learned: ActorPolicy
+    file: Path, environment: str, fields: Mapping[str, Any], scenario: Any, learned: ActorPolicy, progress: bool
 ) -> dict[str, Any]:
-    """An evaluation in a file, after the run's model has flown its episodes again.
+    """An evaluation's episodes, flown again by the run's model and by those that are the strongest there.
 
     Raises:
         FileNotFoundError, ValueError: none, or of something else.
     """
-    summary = _read_evaluation(file, environment, fields)
-    flown = fly(scenario, learned, summary["episodes"], summary["seed"])
-    said, found = summary["policies"][LEARNED], figures_of(flown.outcomes)
-    for error in flown.samples:
+    told = _read_evaluation(file, environment, fields)
+    strongest = _names(_strongest(told["policies"], told["score"]))
+    summary = _compare(environment, scenario, learned, told["episodes"], told["seed"], progress, strongest)
+    said, found = told["policies"][LEARNED], summary["policies"][LEARNED]
+    for error in _errors(told["score"]):
         for figure in FIGURES:
-            value, ours = said.get(error, {}).get(figure), found[error][figure]
+            value, ours = said[error].get(figure), found[error][figure]
             if value is None or not math.isclose(value, ours, rel_tol=FIGURES_WITHIN):
                 raise ValueError(
                     f"--evaluation {file}: has {figure} {error} = {value} of {LEARNED!r}, this run's model {ours:g} on "
@@ -293,7 +298,7 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
         summary = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"--evaluation {file}: is no valid JSON ({error})") from error
-    needed = {"environment", "episodes", "seed", "policies", "ratios", "score"}
+    needed = {"environment", "episodes", "seed", "policies", "score"}
     if not isinstance(summary, dict) or not needed <= summary.keys():
         raise ValueError(f"--evaluation {file}: must be an evaluation.json of train or evaluate, of one tracker")
     if (summary["environment"], summary.get("fields", {}), summary.get("flights")) != (environment, fields, None):
@@ -302,10 +307,19 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
             f"{summary.get('flights')}, must be of {environment} with {dict(fields)}, as trained, and no flights"
         )
     if LEARNED not in summary["policies"] or not any(
-        KIND_OF.get(name) in AGAINST["rule"] for name in summary["ratios"]
+        KIND_OF.get(name) in AGAINST["rule"] for name in summary["policies"]
     ):
-        raise ValueError(f"--evaluation {file}: must have the policy {LEARNED!r} and ratios to a rule")
+        raise ValueError(f"--evaluation {file}: must have the policy {LEARNED!r}, and a rule or a fixed one")
+    for name, figures in summary["policies"].items():
+        for error in _errors(summary["score"]):
+            if not isinstance(mean := figures.get(error, {}).get("mean"), float):
+                raise ValueError(f"--evaluation {file}: has mean {error} = {mean!r} of {name!r}, must be a number")
     return summary
+
+
+def _errors(score: str) -> tuple[str, str]:
+    """Names of the final error and of its time average."""
+    return f"final_{score}_error_m", f"mean_{score}_error_m"
 
 
 def _shortened(summary: Mapping[str, Any]) -> dict[str, Any]:

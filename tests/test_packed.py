@@ -293,10 +293,12 @@ def test_a_bomb_is_refused_before_it_unpacks(tmp_path):
     lying = bomb.read_bytes().replace(struct.pack("<I", MOST_BYTES), struct.pack("<I", 64))
     (tmp_path / "lying.npz").write_bytes(lying)
     tracemalloc.start()
-    with pytest.raises(ValueError, match=r"lying\.npz: damaged"):
-        read_packed(tmp_path / "lying.npz")
-    assert tracemalloc.get_traced_memory()[1] < MOST_BYTES / 8
-    tracemalloc.stop()
+    try:
+        with pytest.raises(ValueError, match=r"lying\.npz: damaged"):
+            read_packed(tmp_path / "lying.npz")
+        assert tracemalloc.get_traced_memory()[1] < MOST_BYTES / 8
+    finally:
+        tracemalloc.stop()
     with open(tmp_path / "large.npz", "wb") as file:
         file.truncate(MOST_BYTES + 1)
     with pytest.raises(ValueError, match=f"has {MOST_BYTES + 1} bytes"):
@@ -423,7 +425,7 @@ def test_what_packing_leaves(run, file):
     for name, values in kept["each"].items():
         assert len(values) == 200
         assert np.mean(values) == pytest.approx(kept["errors"][name]["mean"], rel=1e-3)
-        assert f"{values[0]}" not in card
+        assert ", ".join(f"{value:g}" for value in values[:3]) not in card
     for name, error in kept["errors"].items():
         low, high = error["ci95"]
         assert low < error["mean"] < high
@@ -502,7 +504,8 @@ def test_a_packed_file_is_measured_again_and_stays(file, tmp_path):
 
 def evaluated(out: Path, policy: Path) -> Path:
     """The evaluation of a run or of a packed file beside rules."""
-    words = ["evaluate", "passive/Ownship-v0", "--policies", "straight", "rule", "rule_average", str(policy)]
+    policies = ["straight", "lead_lag", "rule", "rule_average"]
+    words = ["evaluate", "passive/Ownship-v0", "--policies", *policies, str(policy)]
     assert main([*words, "--episodes", "4", "--out", str(out)]) == 0
     return out / "evaluation.json"
 
@@ -515,7 +518,12 @@ def evaluation(run, tmp_path_factory):
 def test_a_card_can_take_the_runs_own_evaluation(run, evaluation, tmp_path):
     record = pack(run.folder, tmp_path / "p.npz", evaluation, progress=False)
     assert (record["comparison"]["episodes"], record["comparison"]["seed"]) == (4, 30_000_000)
-    assert "4 paired episodes from seed 30000000" in (tmp_path / "p.md").read_text()
+    told = json.loads(evaluation.read_text())["policies"]
+    for error, found in record["comparison"]["strongest"].items():
+        assert found == {"rule": min(set(told) - {"learned"}, key=lambda name: told[name][error]["mean"])}
+    card = (tmp_path / "p.md").read_text()
+    assert "4 paired episodes from seed 30000000" in card
+    assert "greedy" not in card.split("## Limits")[0]
 
 
 def test_a_card_does_not_take_another_runs_evaluation(run, file, evaluation, tmp_path):
@@ -538,7 +546,6 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
         "seed": 0,
         "score": "range",
         "policies": {"learned": {}, "rule": {}},
-        "ratios": {"rule": {}},
     }
     cases = {
         "is no valid JSON": "{",
@@ -546,8 +553,8 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
         "is of passive/TwoStation-v0": json.dumps(good | {"environment": "passive/TwoStation-v0"}),
         "flights held-out": json.dumps(good | {"flights": "held-out"}),
         "must have the policy 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
-        "and ratios to a rule": json.dumps(good | {"ratios": {"planner": {}}}),
-        "= None of 'learned', this run's model": json.dumps(good),
+        "and a rule or a fixed one": json.dumps(good | {"policies": {"learned": {}, "planner": {}}}),
+        "= None of 'learned', must be a number": json.dumps(good),
     }
     for words, text in cases.items():
         evaluation.write_text(text)
