@@ -66,7 +66,8 @@ def next_sensor(belief: PlacementBelief) -> np.ndarray:
 def layout_commands(rule: Rule, task: Task, sensors: int) -> np.ndarray:
     """Commands [e, n, 3] of a rule's whole layouts."""
     shape = (len(task.std), sensors)
-    return commands(*(np.broadcast_to(part, shape) for part in rule(task, sensors)), task)
+    azimuth, distance, height = (np.broadcast_to(part, shape) for part in rule(task, sensors))
+    return commands(azimuth, distance, height, task)
 
 
 # -- the paper's layouts and rules -------------------------------------------------------------------------------------

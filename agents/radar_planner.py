@@ -51,11 +51,12 @@ def _give_up(P, rows, var, blocked, member, wait, delay, threshold, d):
 @helper
 def _would_answer(uniforms, blocked, to_blocked, to_clear, echo):
     """Whose echoes would come, [s, h, n], whoever is listened to: nobody's choice blocks anybody."""
-    answers = np.empty(uniforms.shape[:3], dtype=np.bool_)
-    for s in range(answers.shape[0]):
-        for i in range(answers.shape[2]):
+    samples, h, n = uniforms.shape[0], uniforms.shape[1], uniforms.shape[2]
+    answers = np.empty((samples, h, n), dtype=np.bool_)
+    for s in range(samples):
+        for i in range(n):
             share = blocked[i]
-            for j in range(answers.shape[1]):
+            for j in range(h):
                 hidden = uniforms[s, j, i, 0] < share
                 answers[s, j, i] = not hidden and uniforms[s, j, i, 1] < echo
                 share = 1.0 - to_clear if hidden else to_blocked
