@@ -430,6 +430,7 @@ def test_searches_side_by_side_find_what_they_find_alone(monkeypatch):
     for cores in (1, 2):
         monkeypatch.setattr("trackers.compiled.available_cores", lambda cores=cores: cores)
         np.testing.assert_array_equal(policy.plan(task), alone)
+    assert policy.plan(task.rows(slice(0))).shape == (0, 3, 3)
 
 
 def test_what_is_promised_of_a_static_layout_is_its_bound_on_that_course():
