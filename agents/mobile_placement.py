@@ -80,7 +80,8 @@ class StaticPromise(Promise):
         def promised(layouts: np.ndarray) -> np.ndarray:
             place = positions(layouts, task)[:, None, :, None]
             place = np.broadcast_to(place, (*place.shape[:3], s.steps, *place.shape[-2:]))
-            layout = Layout(place, std, s.ranging)
+            n = place.shape[-2]
+            layout = Layout(place, std[..., :n, :], s.ranging[:n])
             return expected(np.log(self._tracker.promise(state, path, layout, s.step_s).position_std_m).mean(-1))
 
         return promised

@@ -187,8 +187,8 @@ def _row(record: Mapping[str, Any]) -> list[str]:
 def _against(compared: Mapping[str, Any], group: str) -> list[str]:
     """Ratios of the final error and of the time average to those of the strongest of a group, and who that is."""
     errors = [f"{when}_{compared['score']}_error_m" for when in METRICS]
-    names = {error: compared["strongest"][error][group] for error in errors}
-    return [f"{_ratio(compared['ratios'][name][error])} `{name}`" for error, name in names.items()]
+    names = {error: compared["strongest"][error].get(group) for error in errors}
+    return [f"{_ratio(compared['ratios'][name][error])} `{name}`" if name else "—" for error, name in names.items()]
 
 
 if __name__ == "__main__":

@@ -312,7 +312,8 @@ def _read_evaluation(file: Path, environment: str, fields: Mapping[str, Any]) ->
         raise ValueError(f"--evaluation {file}: must have the policy {LEARNED!r}, and a rule or a fixed one")
     for name, figures in summary["policies"].items():
         for error in _errors(summary["score"]):
-            if not isinstance(mean := figures.get(error, {}).get("mean"), float):
+            mean = figures.get(error, {}).get("mean")
+            if not isinstance(mean, (int, float)) or not math.isfinite(mean):
                 raise ValueError(f"--evaluation {file}: has mean {error} = {mean!r} of {name!r}, must be a number")
     return summary
 

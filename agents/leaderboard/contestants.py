@@ -46,8 +46,8 @@ COSTLY: dict[str, tuple[str, ...]] = {
     "passive/PassiveRadar-v0": ("planner",),
     "passive/PassiveRadarRetune-v0": ("planner",),
 }
-"""Policies that search longest, a fifth to three quarters of a second per episode: not flown where not policies but
-trackers, or circumstances, are compared."""
+"""Policies left out for their time, a fifth to three quarters of a second per episode, where not policies but trackers,
+or circumstances, are compared."""
 
 GEOMETRIES = ("paper", "fixed", "straight")
 """Reference geometries, the first one offered counts."""

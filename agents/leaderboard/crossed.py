@@ -72,7 +72,7 @@ def _other_trackers(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str,
         seen = []
         for entry in sorted(entries, key=lambda each: each["tracker"] != own):
             for each in headline_verdicts(entry, REFERENCE):
-                if (figures := (each["policy"], each["mean"])) not in seen:
+                if (figures := (each["policy"], ratio_words(each["mean"]))) not in seen:
                     seen.append(figures)
                     if entry["tracker"] != own:
                         yield environment, entry, each
@@ -110,7 +110,7 @@ def _left_out(data: Mapping[str, Any], section: str, kinds: Collection[str]) -> 
         for environment in sections_of(data, section)
     }
     named = "; ".join(f"{listed(names)} of {short(environment)}" for environment, names in costly.items() if names)
-    return f"Left out, for they search longest: {named}." if named else ""
+    return f"Left out for the time that they take: {named}." if named else ""
 
 
 def _honest(entry: Mapping[str, Any]) -> str:
