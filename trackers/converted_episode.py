@@ -13,7 +13,7 @@ import numpy as np
 
 from trackers.angles import wrap_scalar
 from trackers.compiled import helper, kernel
-from trackers.converted_measurement import moments_at
+from trackers.converted_measurement import information_at
 from trackers.direction import linearize_direction
 from trackers.linalg import LOG_TWO_PI, invert_3
 from trackers.motion_3d import predict_6_in_place
@@ -152,15 +152,16 @@ def _copy_tracks(lx, lP, lx_out, lP_out):
 def add_promised(at, sensor, std, u, ranging, W, v, total, g):
     """Add to `total` [3, 3] the information that a measurement of a target at `at` promises.
 
-    W [5, 3, 3] and v [3, 3] are scratch of which v[1] and v[2] are 0: what is measured does not matter.
+    W [5, 3, 3] and v [3, 3] are scratch of which v[2] is 0: what is measured does not matter.
     """
-    R, info, H, nothing = W[1], W[2], W[4], v[1]
+    info = W[2]
     if ranging:
-        moments_at(at[0] - sensor[0], at[1] - sensor[1], at[2] - sensor[2], std[0], u[0], u[1], R)
-        invert_3(R, info)
-        add_position(nothing, info, nothing, total, g)
+        information_at(at[0] - sensor[0], at[1] - sensor[1], at[2] - sensor[2], std[0], u[0], u[1], info)
+        for i in range(3):
+            for j in range(3):
+                total[i, j] += info[i, j]
     else:
-        add_direction(v[2], sensor, std, at, at, H, total, g)
+        add_direction(v[2], sensor, std, at, at, W[4], total, g)
 
 
 # -- whole episodes ---------------------------------------------------------------------------------------------------

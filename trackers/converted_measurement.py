@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trackers.compiled import helper, kernel
+from trackers.linalg import JITTER
 from trackers.measurement import MIN_RANGE_SQUARED
 
 KINDS = {"range_az_el": True, "az_el": False}
@@ -72,17 +73,27 @@ def shrinkage(angle_std):
 
 
 @helper
-def _moments_into(r2, level, slope, c, q, cc, cq, qq, var, ua, ue, R):
-    """Fill R [3, 3] from r², cos²β, cos β sin β, cos θ, sin θ and their squares and product, or means of all these."""
+def _principal(r2, level, slope, var, ua, ue):
+    """Variances along the level line of sight, across it and upright, and the covariance of the first and the last.
+
+    Of r², cos²β, cos β sin β, or means of these.
+    """
     s, ea, ee = r2 + var, 1.0 - ua, 1.0 - ue
     h = 0.5 * ue * (1.0 + ee) + ee * ee * level
     steep = 0.5 * (1.0 + ee)
     along = h * (var * ea + 0.5 * s * ua * ua) + r2 * ea * ue * (steep - ee * level)
     across = 0.5 * h * s * ua * (1.0 + ea)
-    coupling = math.sqrt(ea) * ee * (var * ee - r2 * ue) * slope
+    upright = var * (1.0 - h) + r2 * ue * (steep - ee * (1.0 - level))
+    return along, across, upright, math.sqrt(ea) * ee * (var * ee - r2 * ue) * slope
+
+
+@helper
+def _turn_into(principal, c, q, cc, cq, qq, R):
+    """Fill R [3, 3] from what `_principal` gives and cos θ, sin θ, their squares and product, or means of these."""
+    along, across, upright, coupling = principal
     R[0, 0] = along * cc + across * qq
     R[1, 1] = along * qq + across * cc
-    R[2, 2] = var * (1.0 - h) + r2 * ue * (steep - ee * (1.0 - level))
+    R[2, 2] = upright
     R[0, 1] = R[1, 0] = (along - across) * cq
     R[0, 2] = R[2, 0] = coupling * c
     R[1, 2] = R[2, 1] = coupling * q
@@ -102,9 +113,23 @@ def moments_at(dx, dy, dz, range_std, ua, ue, R):
     rho2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
     r2, rho = rho2 + dz * dz, math.sqrt(rho2)
     c, q = dx / rho, dy / rho
-    _moments_into(r2, rho2 / r2, rho * dz / r2, c, q, c * c, c * q, q * q, range_std * range_std, ua, ue, R)
+    principal = _principal(r2, rho2 / r2, rho * dz / r2, range_std * range_std, ua, ue)
+    _turn_into(principal, c, q, c * c, c * q, q * q, R)
     flat, upright = _shortening(ua, ue)
     return flat * dx, flat * dy, upright * dz
+
+
+@helper
+def information_at(dx, dy, dz, range_std, ua, ue, info):
+    """Fill info [3, 3] with the inverse of what `moments_at` fills R with."""
+    rho2 = max(dx * dx + dy * dy, MIN_RANGE_SQUARED)
+    r2, turn = rho2 + dz * dz, 1.0 / math.sqrt(rho2)
+    c, q, shrink = dx * turn, dy * turn, 1.0 / r2
+    along, across, upright, coupling = _principal(
+        r2, rho2 * shrink, rho2 * turn * dz * shrink, range_std * range_std, ua, ue
+    )
+    over = 1.0 / max(along * upright - coupling * coupling, JITTER * along * upright)
+    _turn_into((upright * over, 1.0 / across, along * over, -coupling * over), c, q, c * c, c * q, q * q, info)
 
 
 @helper
@@ -116,7 +141,7 @@ def averaged_at(dx, dy, dz, range_std, ua, ue, R):
     la, ee2, ea2, blur = math.sqrt(ea), ee * ee, ea * ea, 0.5 * ua * (1.0 + ea)
     level, slope = 0.5 * ue * (1.0 + ee) + ee2 * rho2 / r2, ee2 * rho * dz / r2
     cc, qq = blur + ea2 * c * c, blur + ea2 * q * q
-    _moments_into(r2 + var, level, slope, la * c, la * q, cc, ea2 * c * q, qq, var, ua, ue, R)
+    _turn_into(_principal(r2 + var, level, slope, var, ua, ue), la * c, la * q, cc, ea2 * c * q, qq, R)
     flat, upright = _shortening(ua, ue)
     flat, upright = flat * (1.0 + flat), upright * (1.0 + upright)
     return flat * dx, flat * dy, upright * dz
@@ -176,7 +201,8 @@ class Layout(NamedTuple):
         if n < 1 or position.shape[-2:] != (n, 3) or std.shape[-2:] != (n, 3):
             shapes = f"position {position.shape}, std {std.shape}, ranging {ranging.shape}"
             raise ValueError(f"layout has {shapes}: must be [..., n, 3], [..., n, 3], [..., n] with n of at least 1")
-        _refuse(np.asarray(~np.isfinite(position).all(-1)), position, "position {} m: must be finite")
+        if not np.isfinite(position).all():  # far quicker than to look at every sensor by itself
+            _refuse(np.asarray(~np.isfinite(position).all(-1)), position, "position {} m: must be finite")
         _refuse(np.asarray(position[..., 2] < 0.0), position[..., 2], "height {} m: is under ground, must be 0 or more")
         used = np.where(ranging[..., None] | np.array([False, True, True]), std, 1.0)
         sound = (used > 0.0) & np.isfinite(used)

@@ -45,6 +45,19 @@ def _pivot(value, diagonal):
 
 
 @helper
+def cholesky_3(A, L):
+    """Fill the lower triangle of L [3, 3] with the factor of A [3, 3]; returns its diagonal's reciprocals."""
+    L[0, 0] = _pivot(A[0, 0], A[0, 0])
+    a = 1.0 / L[0, 0]
+    L[1, 0], L[2, 0] = A[1, 0] * a, A[2, 0] * a
+    L[1, 1] = _pivot(A[1, 1] - L[1, 0] * L[1, 0], A[1, 1])
+    b = 1.0 / L[1, 1]
+    L[2, 1] = (A[2, 1] - L[2, 0] * L[1, 0]) * b
+    L[2, 2] = _pivot(A[2, 2] - L[2, 0] * L[2, 0] - L[2, 1] * L[2, 1], A[2, 2])
+    return a, b, 1.0 / L[2, 2]
+
+
+@helper
 def cholesky_4(P):
     """Lower factor of P [4, 4] as ten numbers, row by row: no scratch."""
     l00 = _pivot(P[0, 0], P[0, 0])
@@ -72,11 +85,13 @@ def mahalanobis_4(L, d):
 def invert_3(A, inverse):
     """Fill `inverse` [3, 3] with A⁻¹ of symmetric positive definite A [3, 3]; returns det A."""
     l00 = _pivot(A[0, 0], A[0, 0])
-    l10, l20 = A[1, 0] / l00, A[2, 0] / l00
+    a = 1.0 / l00
+    l10, l20 = A[1, 0] * a, A[2, 0] * a
     l11 = _pivot(A[1, 1] - l10 * l10, A[1, 1])
-    l21 = (A[2, 1] - l20 * l10) / l11
+    b = 1.0 / l11
+    l21 = (A[2, 1] - l20 * l10) * b
     l22 = _pivot(A[2, 2] - l20 * l20 - l21 * l21, A[2, 2])
-    a, b, c = 1.0 / l00, 1.0 / l11, 1.0 / l22
+    c = 1.0 / l22
     d, e = -l10 * a * b, -l21 * b * c
     f = -(l20 * a + l21 * d) * c
     inverse[0, 0], inverse[1, 1], inverse[2, 2] = a * a + d * d + f * f, b * b + e * e, c * c

@@ -12,7 +12,7 @@ from trackers.angles import wrap_scalar
 from trackers.compiled import helper
 from trackers.converted_measurement import averaged_at, moments_at, shrinkage
 from trackers.direction import linearize_direction, sight_line
-from trackers.linalg import cholesky_in_place, invert_3
+from trackers.linalg import cholesky_3, invert_3
 
 CROSSING_STEPS = 5
 """Gauss–Newton steps from the point nearest to all lines."""
@@ -89,17 +89,15 @@ def move(p, total, g, cov):
 
 @helper
 def _factor(P, total, L, A, M, B, E):
-    """L, A = P_vp L⁻ᵀ, M = C, B = C⁻¹Lᵀ and E = A C⁻ᵀ, each [3, 3], of `absorb_information`."""
+    """L, A = P_vp L⁻ᵀ, M = C, B = C⁻¹Lᵀ and E = A C⁻ᵀ, each [3, 3], of `absorb_information`; returns det C."""
+    i0, i1, i2 = cholesky_3(P, L)
     for i in range(3):
-        for j in range(i + 1):
-            L[i, j] = P[i, j]
-    cholesky_in_place(L)
+        A[i, 0] = P[3 + i, 0] * i0
+        A[i, 1] = (P[3 + i, 1] - A[i, 0] * L[1, 0]) * i1
+        A[i, 2] = (P[3 + i, 2] - A[i, 0] * L[2, 0] - A[i, 1] * L[2, 1]) * i2
     for i in range(3):
         for j in range(3):
-            s, t = P[3 + i, j], 0.0
-            for k in range(j):
-                s -= A[i, k] * L[j, k]
-            A[i, j] = s / L[j, j]
+            t = 0.0
             for k in range(j, 3):
                 t += total[i, k] * L[k, j]
             B[i, j] = t
@@ -108,20 +106,16 @@ def _factor(P, total, L, A, M, B, E):
             s = 1.0 if i == j else 0.0
             for k in range(i, 3):
                 s += L[k, i] * B[k, j]
-            M[i, j] = s
-    cholesky_in_place(M)
+            E[i, j] = s
+    i0, i1, i2 = cholesky_3(E, M)
     for j in range(3):
-        for i in range(3):
-            s = L[j, i] if i <= j else 0.0
-            for k in range(i):
-                s -= M[i, k] * B[k, j]
-            B[i, j] = s / M[i, i]
-    for i in range(3):
-        for j in range(3):
-            s = A[i, j]
-            for k in range(j):
-                s -= E[i, k] * M[j, k]
-            E[i, j] = s / M[j, j]
+        B[0, j] = L[j, 0] * i0
+        B[1, j] = ((L[j, 1] if j > 0 else 0.0) - M[1, 0] * B[0, j]) * i1
+        B[2, j] = ((L[j, 2] if j > 1 else 0.0) - M[2, 0] * B[0, j] - M[2, 1] * B[1, j]) * i2
+        E[j, 0] = A[j, 0] * i0
+        E[j, 1] = (A[j, 1] - E[j, 0] * M[1, 0]) * i1
+        E[j, 2] = (A[j, 2] - E[j, 0] * M[2, 0] - E[j, 1] * M[2, 1]) * i2
+    return M[0, 0] * M[1, 1] * M[2, 2]
 
 
 @helper
@@ -131,7 +125,7 @@ def absorb_information(x, P, total, g, x_out, P_out, L, A, M, B, E):
     With P_pp = LLᵀ and I + LᵀΛL = CCᵀ the position's posterior is BᵀB, B = C⁻¹Lᵀ: positive whatever Λ is, even 0.
     L, A, M, B and E [3, 3] are scratch.
     """
-    _factor(P, total, L, A, M, B, E)
+    root = _factor(P, total, L, A, M, B, E)
     gain = 0.0
     for i in range(6):
         x_out[i] = x[i]
@@ -143,13 +137,13 @@ def absorb_information(x, P, total, g, x_out, P_out, L, A, M, B, E):
             x_out[3 + i] += E[i, k] * b
     for i in range(3):
         for j in range(3):
-            pp, vp, vv = 0.0, 0.0, P[3 + i, 3 + j]
+            vp, vv = 0.0, P[3 + i, 3 + j]
             for k in range(3):
-                pp += B[k, i] * B[k, j]
                 vp += E[i, k] * B[k, j]
                 vv += E[i, k] * E[j, k] - A[i, k] * A[j, k]
-            P_out[i, j], P_out[3 + i, j], P_out[j, 3 + i], P_out[3 + i, 3 + j] = pp, vp, vp, vv
-    return gain, math.log(M[0, 0] * M[1, 1] * M[2, 2])
+            P_out[3 + i, j], P_out[j, 3 + i], P_out[3 + i, 3 + j] = vp, vp, vv
+            P_out[i, j] = B[0, i] * B[0, j] + B[1, i] * B[1, j] + B[2, i] * B[2, j]
+    return gain, math.log(root)
 
 
 @helper

@@ -306,5 +306,7 @@ def _promise(P, scans, waited, path, sensors, std, ranging, nearest, T, q, rho, 
         if usable:
             waited_out[0] = 0.0 if two_point and scans_out[0] == 0 else NOT_WAITING
             scans_out[0] += 1
-        before[:] = P_out
+        for i in range(6):
+            for j in range(6):
+                before[i, j] = P_out[i, j]
         position_std[t] = math.sqrt(P_out[0, 0] + P_out[1, 1] + P_out[2, 2])
