@@ -78,11 +78,11 @@ class Evaluate:
     """Let targets fly recorded traffic: a CSV file, or 'held-out' for the test part of the shipped one."""
     out: Path = Path("evaluation")
     """Folder for evaluation.json, .csv, .md, pictures and report.html."""
-    engine: Literal["local", "ray"] = "local"
-    """Where episodes are flown: in this process, or in blocks by the workers of Ray (extra `ray`); results are the
-    same."""
+    engine: Literal["local", "processes", "ray"] = "local"
+    """Where episodes are flown: in this process, in others of this machine, or by the workers of Ray (extra `ray`);
+    results are the same."""
     workers: int | None = None
-    """With --engine ray: how many blocks are flown at once; default all cores."""
+    """With --engine processes or ray: how many blocks are flown at once; default all cores."""
     address: str | None = None
     """With --engine ray: a running cluster, HOST:PORT or auto; default one on this machine, for this command."""
 
@@ -142,11 +142,11 @@ class Leaderboard:
     """Scenario keywords of all environments named: NAME=VALUE …"""
     out: Path = Path("leaderboard")
     """Folder of the results and of the cells kept."""
-    engine: Literal["local", "ray"] = "local"
-    """Where episodes are flown: in this process, or in blocks by the workers of Ray (extra `ray`); results are the
-    same."""
+    engine: Literal["local", "processes", "ray"] = "processes"
+    """Where episodes are flown: in this process, in others of this machine, or by the workers of Ray (extra `ray`);
+    results are the same."""
     workers: int | None = None
-    """With --engine ray: how many blocks are flown at once; default all cores."""
+    """With --engine processes or ray: how many blocks are flown at once; default all cores."""
     address: str | None = None
     """With --engine ray: a running cluster, HOST:PORT or auto; default one on this machine, for this command."""
 

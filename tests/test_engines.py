@@ -1,18 +1,25 @@
 """Engines of evaluation and training: what holds without Ray, and what is refused before it is started."""
 
+import os
 import socket
 import sys
 import threading
+import time
 
+import cloudpickle
+import numpy as np
 import pytest
+import torch
 from records import same_record
 
 from agents import evaluation
 from agents.cli import main
 from agents.distributed import engine_named
 from agents.distributed.cluster import check_address, ray_module
+from agents.distributed.processes import process_engine
 from agents.evaluation import Flight, blocks_of, fly, fly_all, fly_block, here, joined
-from agents.policy import make_policy
+from agents.policy import make_policy, policy_names
+from agents.pretrained import load_pretrained
 from agents.training import plan
 from passive_env.catalogue import make_scenario
 from trackers.compiled import Blocks, single_thread
@@ -64,6 +71,79 @@ def test_blocks_of_a_single_thread_run_on_it():
     assert len(after) == 2
 
 
+# -------------------------------------------------------------------------------------------------------- processes
+
+
+class Dying:
+    """Ends the process that asks it."""
+
+    def reset(self, belief):
+        os._exit(1)
+
+    def act(self, belief, observation):
+        raise AssertionError("nobody lives to ask")
+
+
+class Broken(Dying):
+    """Fails as policies do."""
+
+    def reset(self, belief):
+        raise ValueError("no such maneuver")
+
+
+class Telling:
+    """Flies straight on and says which process, with how many threads, it flew in: by the file names in a folder."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def reset(self, belief):
+        blocks = Blocks(512, block=64, threads=2)
+        threads = set(blocks.map(lambda _: threading.get_ident(), blocks.slices))
+        (self.folder / f"{os.getpid()}-{len(threads)}-{torch.get_num_threads()}").touch()
+        time.sleep(0.2)  # or one process could be through before the other has begun
+
+    def act(self, belief, observation):
+        return np.zeros((len(belief.steps_left), belief.platforms.shape[1]))
+
+
+def in_processes(scenario, policies, episodes, seed):
+    with process_engine(2) as engine:
+        return fly_all(scenario, policies, episodes, seed, progress=False, engine=engine)
+
+
+def test_records_of_processes_equal_those_of_this_one_bit_for_bit(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluation, "BLOCK", 4)
+    scenario = make_scenario("TwoStation", SHORT)
+    policies = {name: make_policy(name, scenario) for name in ("paper", "random", "rule_tuned")}
+    policies["pretrained"] = load_pretrained("TwoStation", scenario)
+    policies["telling"] = Telling(tmp_path)
+    records = in_processes(scenario, policies, 18, 3)
+    for name in ("paper", "random", "rule_tuned", "pretrained"):
+        assert same_record(records[name], fly(scenario, policies[name], 18, 3))
+    assert not same_record(records["paper"], records["random"])
+    seen = [tuple(map(int, path.name.split("-"))) for path in tmp_path.iterdir()]
+    assert len(seen) == 2
+    assert all(process != os.getpid() and (threads, torchs) == (1, 1) for process, threads, torchs in seen)
+
+
+@pytest.mark.parametrize("name", ["MobilePlacement", "RadarPlacement", "PassiveRadar", "AngleFusion"])
+def test_every_policy_of_a_family_can_be_sent(name):
+    scenario = make_scenario(name, {})
+    for policy in policy_names(scenario):
+        assert cloudpickle.loads(cloudpickle.dumps((scenario, make_policy(policy, scenario))))
+
+
+def test_a_process_that_dies_is_reported_with_what_to_do():
+    with pytest.raises(OSError, match=r"dying: a process died before episodes 11 to 18 were flown; .* --engine local"):
+        in_processes(make_scenario("TwoStation", SHORT), {"dying": Dying()}, 8, 11)
+
+
+def test_an_error_in_a_process_arrives_as_it_is():
+    with pytest.raises(ValueError, match=r"^no such maneuver$"):
+        in_processes(make_scenario("TwoStation", SHORT), {"broken": Broken()}, 8, 1)
+
+
 # ------------------------------------------------------------------------------------------------------- bad input
 
 
@@ -89,7 +169,9 @@ def test_without_ray_the_message_names_the_command_that_installs_it(arguments, t
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["evaluate", "--workers", "2"], "--workers 2: is for --engine ray only"),
+        (["evaluate", "--workers", "2"], "--workers 2: is for --engine processes and ray only"),
+        (["evaluate", "--engine", "processes", "--address", "auto"], "--address auto: is for --engine ray only"),
+        (["evaluate", "--engine", "processes", "--workers", "0"], "--workers 0: must be at least 1"),
         (["leaderboard", "--address", "auto"], "--address auto: is for --engine ray only"),
         (["evaluate", "--engine", "ray", "--workers", "0"], "--workers 0: must be at least 1"),
         (["train", "--runners", "2"], "--runners 2: is for --engine rllib only"),

@@ -1,4 +1,4 @@
-"""Work on several processes or machines by Ray, which is not needed for anything else: extra ``ray``."""
+"""Work on several processes or machines: this machine's cores, or Ray, which nothing else needs (extra ``ray``)."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ from agents.evaluation import Engine, here
 
 
 def engine_named(name: str, workers: int | None = None, address: str | None = None) -> AbstractContextManager[Engine]:
-    """The engine ``local`` or ``ray`` for evaluations; entering it starts or finds the cluster.
+    """The engine ``local``, ``processes`` or ``ray`` for evaluations; entering it starts or finds the cluster.
 
     Raises:
-        ValueError: workers or an address for the local one, or less than one worker.
+        ValueError: workers for the local one, an address for any but Ray's, or less than one worker.
     """
     if name == "ray":
         from agents.distributed.flying import ray_engine
 
         return ray_engine(workers, address)
-    for flag, value in (("--workers", workers), ("--address", address)):
-        if value is not None:
-            raise ValueError(f"{flag} {value}: is for --engine ray only")
+    if address is not None:
+        raise ValueError(f"--address {address}: is for --engine ray only")
+    if name == "processes":
+        from agents.distributed.processes import process_engine
+
+        return process_engine(workers)
+    if workers is not None:
+        raise ValueError(f"--workers {workers}: is for --engine processes and ray only")
     return nullcontext(here)
