@@ -72,7 +72,8 @@ class Random:
     """Uniform random commands.
 
     An episode's commands follow from the seed and its first tracks, so an evaluation can be repeated and gives the
-    same result however its episodes are cut into batches.
+    same result however its episodes are cut into batches. Of the tracks whole metres count, and metres per second: the
+    last digits are the processor's.
     """
 
     def __init__(self, seed: int):
@@ -84,7 +85,8 @@ class Random:
         """Draw whole episodes' commands [e, k, a]."""
         self._begin = np.array(belief.steps_left)
         shape = (max(int(self._begin.max()), 1), belief.last_action.shape[-1])
-        generators = (np.random.default_rng([self._seed, zlib.crc32(mean.tobytes())]) for mean in belief.mean)
+        marks = (zlib.crc32(mean.tobytes()) for mean in np.rint(belief.mean).astype(np.int64))
+        generators = (np.random.default_rng([self._seed, mark]) for mark in marks)
         self._commands = np.stack([generator.uniform(-1.0, 1.0, shape) for generator in generators])
 
     def act(self, belief: Belief, observation: np.ndarray) -> np.ndarray:

@@ -71,6 +71,8 @@ class PassiveVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.blocks = Blocks(num_envs, block=BLOCK, threads=threads)
         self._worlds: list[World] | None = None
+        self._whole: World | None = None  # all blocks in one, once somebody has asked for it since the last step
+        self._tape: tuple[list[Any], Any] = ([], None)  # the blocks' tapes and all in one, which many steps share
         self._views: list[np.ndarray] = []  # observations of the worlds, block by block
         self._done = np.zeros(num_envs, dtype=bool)
         self._generators: list[np.random.Generator] | None = None
@@ -85,9 +87,16 @@ class PassiveVectorEnv(VectorEnv):
         """The true world of all sub-environments; for evaluation and pictures, never for policies."""
         if self._worlds is None:
             raise gym.error.ResetNeeded("call reset() before step(), render() or belief()")
-        return (
-            map_rows(lambda *parts: np.concatenate(parts), *self._worlds) if len(self._worlds) > 1 else self._worlds[0]
-        )
+        if self._whole is None:
+            self._whole = self._joined(self._worlds) if len(self._worlds) > 1 else self._worlds[0]
+        return self._whole
+
+    def _joined(self, worlds: list[World]) -> World:
+        """All blocks in one; tapes, by far their largest part, are joined when episodes begin only."""
+        tapes = [world.tape for world in worlds]
+        if [*map(id, tapes)] != [*map(id, self._tape[0])]:
+            self._tape = tapes, _concatenated(tapes)
+        return _concatenated([world._replace(tape=()) for world in worlds])._replace(tape=self._tape[1])
 
     def belief(self) -> Belief:
         """What the operators of all sub-environments know now."""
@@ -195,7 +204,7 @@ class PassiveVectorEnv(VectorEnv):
             fresh = self.simulation.begin([generators[rows.start + i] for i in chosen])
             return fresh if world is None or len(chosen) == len(mask[rows]) else replace_rows(world, chosen, fresh)
 
-        self._worlds = self.blocks.map(restart, self.blocks.slices, worlds)
+        self._worlds, self._whole = self.blocks.map(restart, self.blocks.slices, worlds), None
         self._views = self.blocks.map(self.simulation.observe, self._worlds)
 
     def _advance(self, values: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -213,6 +222,7 @@ class PassiveVectorEnv(VectorEnv):
 
             steps = self.blocks.map(advance, self.blocks.slices, self._worlds)
             self._worlds, self._views = [step[0] for step in steps], [step[3] for step in steps]
+            self._whole = None
             keep = ~fresh
             reward = np.concatenate([step[1] for step in steps]) * keep
             terms = {name: np.concatenate([step[2][name] for step in steps]) * keep for name in terms}
@@ -229,6 +239,10 @@ class PassiveVectorEnv(VectorEnv):
         info: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         info["reward_terms"] = terms
         return info | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in info}
+
+
+def _concatenated(trees: Sequence[Any]) -> Any:
+    return map_rows(lambda *parts: np.concatenate(parts), *trees)
 
 
 def _hold(world: World, fresh: np.ndarray, steps: int) -> World:

@@ -162,6 +162,31 @@ def test_belief_and_world_of_a_batch_are_those_of_its_singles():
         )
 
 
+@over_modes
+def test_the_world_is_that_of_all_blocks_at_every_instant_whenever_it_was_last_asked_for(mode):
+    env = PassiveVectorEnv(num_envs=300, autoreset_mode=mode, steps=2, targets=1)
+
+    def check():
+        assert len(env._worlds) == 2
+        expected = map_rows(lambda *parts: np.concatenate(parts), *env._worlds)
+        map_rows(np.testing.assert_array_equal, env.world, expected)
+        assert env.world is env.world
+        assert np.array_equal(env.belief().mean, expected.estimate.mean)
+
+    env.reset(seed=6)
+    check()
+    tape = env.world.tape
+    for k in range(7):
+        if mode == AutoresetMode.DISABLED and env._done.any():
+            for some in (np.arange(300) < 20, np.arange(300) >= 20):
+                env.reset(options={"reset_mask": some})
+                check()
+        env.step(np.zeros((300, env.single_action_space.shape[0])))
+        if k not in (2, 3):
+            check()
+    assert env.world.tape is not tape
+
+
 # ------------------------------------------------------------------------------------------------ autoreset modes
 
 

@@ -60,6 +60,7 @@ class Workers(Protocol):
         Raises:
             whatever went wrong in it; OSError: its worker died.
         """
+        ...
 
 
 def fly_by(workers: Workers, flights: Mapping[str, Flight], bar: Any) -> Iterator[tuple[str, Record]]:
