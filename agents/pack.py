@@ -275,6 +275,9 @@ def _take_evaluation(
     """
     told = _read_evaluation(file, environment, fields)
     strongest = _names(_strongest(told["policies"], told["score"]))
+    foreign = sorted({*strongest} - {one.name for one in known_policies(scenario)})
+    if foreign:
+        raise ValueError(f"--evaluation {file}: has {', '.join(foreign)}, which {environment} does not offer")
     summary = _compare(environment, scenario, learned, told["episodes"], told["seed"], progress, strongest)
     said, found = told["policies"][LEARNED], summary["policies"][LEARNED]
     for error in _errors(told["score"]):

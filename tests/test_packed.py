@@ -540,6 +540,7 @@ def test_a_card_does_not_take_another_runs_evaluation(run, file, evaluation, tmp
 
 def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
     evaluation = tmp_path / "evaluation.json"
+    told = {"final_range_error_m": {"mean": 1.0}, "mean_range_error_m": {"mean": 1.0}}
     good = {
         "environment": "passive/Ownship-v0",
         "episodes": 2,
@@ -555,6 +556,9 @@ def test_evaluations_of_something_else_are_refused(run, tmp_path, capsys):
         "must have the policy 'learned'": json.dumps(good | {"policies": {"rule": {}}}),
         "and a rule or a fixed one": json.dumps(good | {"policies": {"learned": {}, "planner": {}}}),
         "= None of 'learned', must be a number": json.dumps(good),
+        "has rule_tuned, which passive/Ownship-v0 does not offer": json.dumps(
+            good | {"policies": {"learned": told, "rule_tuned": told}}
+        ),
     }
     for words, text in cases.items():
         evaluation.write_text(text)
